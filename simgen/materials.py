@@ -1,0 +1,38 @@
+"""Material names, and how each becomes a Mitsuba BSDF.
+
+Every scene holds exactly these materials, each on one merged mesh, whether or not it is used:
+the renderer compiles one kernel per *structure*, so a constant structure compiles once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface is coloured and how it reflects."""
+
+    color_by: Literal["vertex", "metres", "atlas", "ground"]
+    """vertex: Part.color; metres: Part.uv on a repeating sheet; atlas: Part.uv in [0, 1]²;
+    ground: the ortho maps of ground.py"""
+    reflects: Literal["diffuse", "paint", "glass", "metal"] = "diffuse"
+
+
+MATERIALS: dict[str, Material] = {
+    "ground": Material("ground"),
+    "wall_0": Material("metres"),  # four wall sheets of the scene: brick, plaster, concrete, stone
+    "wall_1": Material("metres"),
+    "wall_2": Material("metres"),
+    "wall_3": Material("metres"),
+    "roof": Material("metres"),
+    "bark": Material("metres"),
+    "matte": Material("vertex"),
+    "leaf": Material("vertex"),
+    "paint": Material("vertex", "paint"),
+    "metal": Material("vertex", "metal"),
+    "glass": Material("vertex", "glass"),  # opaque and mirror-like; flagged in flow_status
+    "sign": Material("atlas"),
+    "lamp": Material("vertex"),  # emits at night
+}
