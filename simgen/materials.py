@@ -1,4 +1,4 @@
-"""Material names, and how each becomes a Mitsuba BSDF.
+"""Material names, and how each is coloured and reflects; scene.py makes them Mitsuba BSDFs.
 
 Every scene holds exactly these materials, each on one merged mesh, whether or not it is used:
 the renderer compiles one kernel per *structure*, so a constant structure compiles once.
@@ -19,6 +19,10 @@ class Material:
     ground: the ortho maps of ground.py"""
     reflects: Literal["diffuse", "paint", "glass", "metal"] = "diffuse"
 
+
+FAR_SHEET_M = 60.0
+"""A part no nearer than this takes the filtered copy of its sheet [m]."""
+FAR_SHEET_FACTOR = 4
 
 MATERIALS: dict[str, Material] = {
     "ground": Material("ground"),

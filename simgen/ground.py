@@ -1,0 +1,496 @@
+"""The ground: road, pavement and land, coloured by ortho maps seen from above.
+
+The ground ahead of the rig is cut into bands of growing distance. Each band has a map of its own,
+whose texel is about as wide as a pixel there, so that near ground is sharp and far ground does not
+alias. Everything lies in world coordinates: nothing repeats, and the next frame of a drive sees
+the same road.
+
+A map is painted in layers: land, verge, asphalt, pavement, kerb, paint; each with its own noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from simgen.color import srgb_from_linear
+from simgen.geometry import Array
+from simgen.markings import Paint, median_outlines
+from simgen.mesh import Part, part
+from simgen.noise import fractal
+from simgen.recipe import SceneSpec
+from simgen.roads import Lane, Network, Surface, at_station, stations, strip
+from simgen.scene import GroundRing
+from simgen.schema import LABELS
+
+NUM_BANDS = 6
+"""The last one is everything that is left: behind, beside, and far away."""
+BAND_RATIO = 2.6
+MAX_TEXELS = 3072
+REST_HALF_M = 420.0
+
+_SEMANTIC = {"road": LABELS["road"], "sidewalk": LABELS["sidewalk"], "terrain": LABELS["terrain"]}
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What decides how fine the ground must be."""
+
+    focal_px: float
+    hfov_rad: float
+    nearest_m: float
+    """distance of the nearest ground in any image"""
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """A rectangle of ground in the frame of the rig, and the raster of its map."""
+
+    low: Array
+    """(2,) [m] in the rig frame: x forward, y left"""
+    high: Array
+    shape: tuple[int, int]
+    """rows run away from the rig, columns from left to right"""
+    A: Array
+    """(2, 3): (column, row, 1) of a texel centre to world xy"""
+
+    def texels(self, xy: Array) -> Array:
+        """World points (N, 2) as (column, row), texel centres at integers."""
+        return (xy - self.A[:, 2]) @ np.linalg.inv(self.A[:, :2]).T
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Outlines on the ground, world xy."""
+
+    asphalt: list[Array]
+    pavement: list[Array]
+    median: list[Array]
+    paint: list[Paint]
+    tracks: list[Array]
+    """wheel tracks (N, 2)"""
+    seams: list[Array]
+    """cracks and joints (N, 2)"""
+    patches: list[Array]
+    """repaired asphalt (N, 2)"""
+    covers: Array
+    """(M, 3): x, y, radius of manhole covers"""
+    stains: Array
+    """(M, 3): x, y, radius of oil stains"""
+
+
+def bands(T_world_rig: Array, optics: Optics) -> list[Band]:
+    """The bands for a rig standing at ``T_world_rig`` (4, 4)."""
+    edges = 0.85 * optics.nearest_m * BAND_RATIO ** np.arange(NUM_BANDS)
+    spread = np.tan(optics.hfov_rad / 2 + 0.05)
+    boxes = []
+    for near, far in zip(edges[:-1], edges[1:], strict=True):
+        half = far * spread + 2.0
+        across = 2 * half / (2.0 * near / optics.focal_px)
+        along = (far - near) / (4.0 * near / optics.focal_px)
+        boxes.append((np.array([near, -half]), np.array([far, half]), (along, across)))
+    rest = 1.2 * REST_HALF_M
+    boxes.append((np.array([-REST_HALF_M + 150.0, -REST_HALF_M]),
+                  np.array([REST_HALF_M + 150.0, REST_HALF_M]), (rest, rest)))  # fmt: skip
+    return [_band(T_world_rig, low, high, texels) for low, high, texels in boxes]
+
+
+def _band(T_world_rig: Array, low: Array, high: Array, texels: tuple[float, float]) -> Band:
+    h, w = (int(np.clip(n, 64, MAX_TEXELS)) for n in texels)
+    du, dv = -(high[1] - low[1]) / w, (high[0] - low[0]) / h
+    heading = np.arctan2(T_world_rig[1, 0], T_world_rig[0, 0])
+    R = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+    to_rig = np.array([[0.0, dv, low[0] + dv / 2], [du, 0.0, high[1] + du / 2]])
+    A = R @ to_rig
+    A[:, 2] += T_world_rig[:2, 3]
+    return Band(low, high, (h, w), A)
+
+
+def build(
+    network: Network,
+    spec: SceneSpec,
+    paints: Sequence[Paint],
+    T_world_rig: Array,
+    optics: Optics,
+    *,
+    far_low: Array,
+    far_high: Array,
+) -> list[GroundRing]:
+    """Meshes and maps of all bands.
+
+    Terrain outside the world box [``far_low``, ``far_high``] (2,) is cut off: the background
+    begins there.
+    """
+    layers = _layers(network, spec, paints)
+    all_bands = bands(T_world_rig, optics)
+    pieces = _cut(network, all_bands, T_world_rig, far_low, far_high)
+    seed = int(spec.stream("ground").integers(1 << 31))
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        images = list(pool.map(lambda band: _paint(band, layers, spec, seed), all_bands))
+    return [
+        GroundRing(_textured(surfaces, band), image)
+        for surfaces, band, image in zip(pieces, all_bands, images, strict=True)
+    ]
+
+
+def _textured(surfaces: dict[str, Surface], band: Band) -> list[Part]:
+    h, w = band.shape
+    return [
+        part(s.vertices, s.faces, "ground", _SEMANTIC[name],
+             uv=(band.texels(s.vertices[:, :2]) + 0.5) / [w, h])
+        for name, s in surfaces.items() if len(s.faces)
+    ]  # fmt: skip
+
+
+# --- cutting the meshes --------------------------------------------------------------------------
+
+
+def _cut(
+    network: Network, all_bands: Sequence[Band], T_world_rig: Array, far_low: Array, far_high: Array
+) -> list[dict[str, Surface]]:
+    """Each band's share of every surface, in world coordinates."""
+    pieces: list[dict[str, Surface]] = [{} for _ in all_bands]
+    R = all_bands[0].A[:, :2] / np.linalg.norm(all_bands[0].A[:, :2], axis=0)
+    forward, left = R[:, 1], -R[:, 0]
+    for name, surface in network.surfaces.items():
+        rest = [surface]
+        if name == "terrain":
+            rest = [clipped(surface, [(np.array([1.0, 0.0]), far_low[0], far_high[0]),
+                                      (np.array([0.0, 1.0]), far_low[1], far_high[1])])]  # fmt: skip
+        for piece, band in zip(pieces[:-1], all_bands[:-1], strict=True):
+            origin = T_world_rig[:2, 3]
+            limits = [
+                (axis, band.low[k] + axis @ origin, band.high[k] + axis @ origin)
+                for k, axis in enumerate((forward, left))
+            ]
+            inside, outside = _taken(rest, limits)
+            piece[name], rest = _joined(inside), [_joined(outside)]
+        pieces[-1][name] = rest[0]
+    return pieces
+
+
+Limits = list[tuple[Array, float, float]]
+"""(horizontal axis (2,), low, high): the slab low <= axis · xy < high"""
+
+
+def clipped(surface: Surface, limits: Limits) -> Surface:
+    """The part of a surface inside all slabs."""
+    return _joined(_taken([surface], limits)[0])
+
+
+def _taken(surfaces: list[Surface], limits: Limits) -> tuple[list[Surface], list[Surface]]:
+    """(what lies inside all slabs, the rest)."""
+    inside, rest = surfaces, []
+    for axis, low, high in limits:
+        for bound, keep_above in ((low, True), (high, False)):
+            halves = [split(s, axis, bound) for s in inside]
+            inside = [h[keep_above] for h in halves]
+            rest += [h[not keep_above] for h in halves]
+    return inside, rest
+
+
+def split(surface: Surface, axis: Array, bound: float) -> tuple[Surface, Surface]:
+    """(below, above) the vertical plane axis · xy = bound; triangles across it are cut."""
+    v, f = surface.vertices, surface.faces
+    d = v[:, :2] @ axis - bound
+    above = d[f] >= 0
+    num_above = above.sum(axis=1)
+    lone_above, lone_below = f[num_above == 1], f[num_above == 2]
+    cuts = []
+    for crossing, lone in ((lone_above, above[num_above == 1]),
+                           (lone_below, ~above[num_above == 2])):  # fmt: skip
+        first = np.argmax(lone, axis=1)
+        cuts.append(np.take_along_axis(crossing, (first[:, None] + [0, 1, 2]) % 3, axis=1))
+    tri = np.concatenate(cuts)  # the lone corner first
+    a, b, c = tri.T
+    p = v[a] + (v[b] - v[a]) * (d[a] / (d[a] - d[b]))[:, None]
+    q = v[a] + (v[c] - v[a]) * (d[a] / (d[a] - d[c]))[:, None]
+    n, m = len(v), len(tri)
+    ip, iq = n + np.arange(m), n + m + np.arange(m)
+    tip = np.stack([a, ip, iq], axis=1)
+    base = np.concatenate([np.stack([ip, b, c], axis=1), np.stack([ip, c, iq], axis=1)])
+    is_above = np.arange(m) < len(lone_above)
+    vertices = np.concatenate([v, p, q])
+    return (
+        _surface(vertices, [f[num_above == 0], tip[~is_above], base[np.tile(is_above, 2)]]),
+        _surface(vertices, [f[num_above == 3], tip[is_above], base[np.tile(~is_above, 2)]]),
+    )
+
+
+def _surface(vertices: Array, faces: list[NDArray[np.int64]]) -> Surface:
+    """Only the vertices in use, without faces that have no area."""
+    f = np.concatenate(faces)
+    area = np.linalg.norm(
+        np.cross(vertices[f[:, 1]] - vertices[f[:, 0]], vertices[f[:, 2]] - vertices[f[:, 0]]), axis=1
+    )
+    used, index = np.unique(f[area > 1e-9], return_inverse=True)
+    return Surface(vertices[used], index.reshape(-1, 3))
+
+
+def _joined(surfaces: Sequence[Surface]) -> Surface:
+    offsets = np.cumsum([0] + [len(s.vertices) for s in surfaces[:-1]])
+    return Surface(
+        np.concatenate([s.vertices for s in surfaces]),
+        np.concatenate([s.faces + o for s, o in zip(surfaces, offsets, strict=True)]),
+    )
+
+
+# --- what lies on the ground ---------------------------------------------------------------------
+
+
+def _layers(network: Network, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
+    rng = spec.stream("asphalt")
+    lanes = [lane for lane in network.lanes if lane.kind in ("driving", "parking")]
+    driving = [lane for lane in lanes if lane.kind == "driving"]
+    wear = spec.road.wear
+    seams = [s for lane in driving for s in _seams(lane.centre, lane.width, wear, rng)]
+    pavements = [lane for lane in network.lanes if lane.kind == "sidewalk"]
+    return Layers(
+        asphalt=_outlines(network.surfaces["road"]),
+        pavement=_outlines(network.surfaces["sidewalk"]),
+        median=median_outlines(network),
+        paint=list(paints),
+        tracks=[strip(lane.offset(side), 0.28, -0.28)[:, :2]
+                for lane in driving for side in (0.8, -0.8)],
+        seams=seams + [s for lane in pavements for s in _slab_joints(lane.centre, lane.width)],
+        patches=[p for lane in lanes for p in _patches(lane.centre, lane.width, wear, rng)],
+        covers=_scattered(driving, 0.012, (0.28, 0.36), rng),
+        stains=_scattered(lanes, 0.05 + 0.1 * wear, (0.08, 0.6), rng),
+    )  # fmt: skip
+
+
+def _outlines(surface: Surface) -> list[Array]:
+    """Rings (N, 2) of the area that a surface covers seen from above; holes are rings, too."""
+    if not len(surface.faces):
+        return []
+    area = shapely.union_all(shapely.polygons(surface.vertices[surface.faces][..., :2])).buffer(0.02)
+    polygons = shapely.get_parts(area)
+    return [np.array(r.coords) for p in polygons for r in (p.exterior, *p.interiors)]
+
+
+def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> list[Array]:
+    """Cracks as thin wandering bands; a joint between lanes is one of them."""
+    length = stations(line)[-1]
+    cracks = []
+    for s in np.sort(rng.uniform(0, length, rng.poisson(length * 0.05 * wear**2 + 0.2))):
+        along = rng.random() < 0.4
+        num, step = int(rng.integers(6, 26)), float(rng.uniform(0.15, 0.4))
+        heading = float(at_station(line, s)[1]) + (0.0 if along else np.pi / 2)
+        turn = np.cumsum(rng.normal(0, 0.25, num)) + heading
+        walk = np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1) * step, axis=0)
+        start = at_station(line, s)[0][:2] + rng.uniform(-0.4, 0.4, 2) * width
+        cracks.append(_thin(walk + start, float(rng.uniform(0.006, 0.022))))
+    return cracks
+
+
+def _slab_joints(line: Array, width: float) -> list[Array]:
+    """Joints across a pavement, and one along it."""
+    out = [_thin(line[:, :2], 0.012)]
+    for s in np.arange(0.4, stations(line)[-1], 0.8):
+        point, heading = at_station(line, s)
+        normal = np.array([-np.sin(heading), np.cos(heading)]) * width / 2
+        out.append(_thin(np.stack([point[:2] - normal, point[:2] + normal]), 0.012))
+    return out
+
+
+def _thin(line: Array, width: float) -> Array:
+    flat = np.column_stack([line, np.zeros(len(line))])
+    return strip(flat, width / 2, -width / 2)[:, :2]
+
+
+def _patches(line: Array, width: float, wear: float, rng: np.random.Generator) -> list[Array]:
+    """Rectangles of newer asphalt: trenches along or across the lane."""
+    length = stations(line)[-1]
+    out = []
+    for s in rng.uniform(4, max(5, length - 4), rng.poisson(length * 0.012 * (0.3 + wear))):
+        long_m, wide_m = float(rng.uniform(0.8, 12.0)), float(rng.uniform(0.5, 0.9 * width))
+        sub = at_station(line, np.linspace(s, min(length, s + long_m), 6))[0]
+        middle = float(rng.uniform(-0.5, 0.5)) * (width - wide_m)
+        out.append(strip(sub, middle + wide_m / 2, middle - wide_m / 2)[:, :2])
+    return out
+
+
+def _scattered(
+    lanes: Sequence[Lane], per_m: float, radius: tuple[float, float], rng: np.random.Generator
+) -> Array:
+    """Discs (M, 3) as (x, y, radius) strewn over lanes."""
+    discs = [np.zeros((0, 3))]
+    for lane in lanes:
+        length = stations(lane.centre)[-1]
+        num = rng.poisson(per_m * length)
+        points = at_station(lane.centre, rng.uniform(0, length, num))[0][:, :2]
+        points += rng.uniform(-0.45, 0.45, (num, 2)) * lane.width
+        discs.append(np.column_stack([points, rng.uniform(*radius, num)]))
+    return np.concatenate(discs)
+
+
+# --- painting a map ------------------------------------------------------------------------------
+
+# Linear colours; a map is a grey tone of full resolution times a colour of half resolution.
+_GRASS, _DRY, _SOIL = (0.060, 0.092, 0.026), (0.150, 0.135, 0.060), (0.120, 0.088, 0.058)
+_GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.235, 0.225, 0.210), (0.300, 0.290, 0.270)
+_ASPHALT = (1.0, 0.985, 0.955)
+
+
+def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> NDArray[np.uint8]:
+    """The map of one band: (H, W, 3) sRGB."""
+    canvas = _Canvas(band, seed)
+    wear = spec.road.wear
+    road, pavement = canvas.mask(layers.asphalt), canvas.mask(layers.pavement)
+    median = canvas.mask(layers.median)
+    shoulder = np.clip(1.6 * canvas.blurred(np.maximum(road, pavement), 0.5), 0, 1) * 0.8
+    kerb = pavement - _eroded(pavement, canvas.sigma(0.14))
+
+    tone, color = canvas.land()
+    for share, (layer_tone, layer_color) in (
+        (shoulder, canvas.gravel()),
+        (road, canvas.asphalt(layers, wear)),
+        (median * 0.9, canvas.gravel()),
+        (pavement, canvas.slabs()),
+        (kerb, (1 + 0.12 * canvas.grain, _KERB)),
+    ):
+        tone += (layer_tone - tone) * share
+        color += (np.float32(layer_color) - color) * _half(share)[..., None]
+    tone *= 1 - 0.65 * canvas.mask(layers.seams, thin=0.012)
+    canvas.cover(tone, color, layers.covers)
+    canvas.draw_lines(tone, color, layers.paint, wear)
+    return _encoded(tone, color)
+
+
+def _half(image: Image) -> Image:
+    h, w = image.shape[:2]
+    return cv2.resize(image, (w // 2, h // 2), interpolation=cv2.INTER_AREA)
+
+
+_ENCODE = np.round(srgb_from_linear(np.arange(4096) / 4095) * 255).astype(np.uint8)
+
+
+def _encoded(tone: Image, color: Image) -> NDArray[np.uint8]:
+    h, w = tone.shape
+    linear = cv2.resize(color, (w, h), interpolation=cv2.INTER_LINEAR)
+    linear *= cv2.merge([tone * np.float32(4095)] * 3)
+    return np.take(_ENCODE, np.clip(linear, 40, 3500, out=linear).astype(np.uint16))
+
+
+def _eroded(mask: Image, sigma: tuple[float, float]) -> Image:
+    size = tuple(max(1, 2 * round(s) + 1) for s in sigma)
+    return np.minimum(mask, cv2.erode(mask, np.ones(size[::-1], np.uint8)))
+
+
+Layer = tuple[Image, Image | tuple[float, float, float]]
+"""(tone (H, W), colour: (H/2, W/2, 3) or one)"""
+
+
+class _Canvas:
+    """One map under work: its raster, its masks, and three noises that all layers share.
+
+    Layers lie beside each other, so one noise can serve them all without being seen twice.
+    """
+
+    def __init__(self, band: Band, seed: int) -> None:
+        self.band = band
+        self.texel = np.linalg.norm(band.A[:, :2], axis=0)  # (across, along) [m]
+        self.broad = self._noise(64.0, 6, seed, gain=0.55)
+        self.middle = self._noise(1.8, 5, seed + 1, gain=0.65)
+        self.grain = self._noise(0.12, 4, seed + 2, gain=0.85)
+
+    def _noise(self, wavelength: float, octaves: int, seed: int, gain: float) -> Image:
+        return fractal(self.band.shape, wavelength=wavelength, octaves=octaves, gain=gain,
+                       seed=seed, A=self.band.A)  # fmt: skip
+
+    def sigma(self, metres: float) -> tuple[float, float]:
+        """A length in texels (across, along)."""
+        return float(metres / self.texel[0]), float(metres / self.texel[1])
+
+    def blurred(self, mask: Image, sigma_m: float) -> Image:
+        """Gaussian blur; wide ones on a coarser raster."""
+        step = 2 ** int(np.clip(np.log2(max(min(self.sigma(sigma_m)) / 2, 1)), 0, 5))
+        h, w = mask.shape
+        small = cv2.resize(mask, (-(-w // step), -(-h // step)), interpolation=cv2.INTER_AREA)
+        sigma = [max(0.3, s / step) for s in self.sigma(sigma_m)]
+        soft = cv2.GaussianBlur(small, (0, 0), sigma[0], sigmaY=sigma[1])
+        return cv2.resize(soft, (w, h), interpolation=cv2.INTER_LINEAR)
+
+    def mask(self, rings: Sequence[Array], thin: float | None = None) -> Image:
+        """Coverage (H, W) of outlines; a ring inside a ring is a hole.
+
+        With ``thin``, outlines may overlap and are only that wide [m]: where a texel is wider, they
+        get a share of it.
+        """
+        h, w = self.band.shape
+        fine = int(np.clip(np.ceil(self.texel[0] / 0.05), 1, 4))
+        raster = np.zeros((h, w * fine), dtype=np.uint8)
+        visible = [r for r in self._in_texels(rings) if _touches(r, (h, w))]
+        points = [np.round((r + 0.5) * [16 * fine, 16] - 8).astype(np.int32) for r in visible]
+        for group in [points] if thin is None else [[p] for p in points]:
+            if group:
+                cv2.fillPoly(raster, group, 255, cv2.LINE_AA, shift=4)
+        coverage = cv2.resize(raster, (w, h), interpolation=cv2.INTER_AREA) if fine > 1 else raster
+        weight = 1.0 if thin is None else min(1.0, thin / (self.texel[0] / fine))
+        return coverage * np.float32(weight / 255)
+
+    def _in_texels(self, rings: Sequence[Array]) -> list[Array]:
+        if not len(rings):
+            return []
+        ends = np.cumsum([len(r) for r in rings])[:-1]
+        return np.split(self.band.texels(np.concatenate(rings)), ends)
+
+    def land(self) -> tuple[Image, Image]:
+        """Grass with dry and bare places."""
+        tone = np.clip(1 + 0.42 * self.middle + 0.3 * self.grain, 0.3, 2.0)
+        broad, middle = _half(self.broad), _half(self.middle)
+        dryness = np.clip(0.3 + 0.7 * broad + 0.25 * middle, 0, 1)[..., None]
+        bare = np.clip(1.5 * (middle - broad) - 0.8, 0, 1)[..., None]
+        color = np.float32(_GRASS) + (np.float32(_DRY) - np.float32(_GRASS)) * dryness
+        return tone, color + (np.float32(_SOIL) - color) * bare
+
+    def gravel(self) -> Layer:
+        return np.clip(1 + 0.15 * self.middle + 0.35 * self.grain, 0.4, 1.8), _GRAVEL
+
+    def asphalt(self, layers: Layers, wear: float) -> Layer:
+        tone = 1 + 0.12 * self.broad + 0.07 * self.middle + 0.2 * self.grain
+        tone *= np.float32(0.085 + 0.055 * wear)
+        tone *= 1 + np.float32(0.22 * wear - 0.16) * self.blurred(self.mask(layers.tracks), 0.16)
+        tone *= 1 - 0.32 * self.mask(layers.patches)
+        tone *= 1 - 0.45 * self.blurred(self.mask(_discs(layers.stains)), 0.05)
+        return tone, _ASPHALT
+
+    def slabs(self) -> Layer:
+        return 1 + 0.1 * self.broad + 0.06 * self.middle + 0.11 * self.grain, _SLAB
+
+    def draw_lines(self, tone: Image, color: Image, paints: Sequence[Paint], wear: float) -> None:
+        """Paint, worn away where noise says so."""
+        flake = self.middle + 0.5 * self.grain
+        kept = np.clip(1.05 - 0.75 * wear - 1.1 * wear * flake, 0.0, 1.0)
+        dirt = 1 - (0.12 + 0.2 * wear) * (0.5 + 0.5 * flake)
+        for rgb in sorted({p.color for p in paints}):
+            share = self.mask([p.outline for p in paints if p.color == rgb], thin=1.0) * kept
+            tone += (dirt - tone) * share
+            color += (np.float32(rgb) - color) * _half(share)[..., None]
+
+    def cover(self, tone: Image, color: Image, discs: Array) -> None:
+        """Manhole covers: a dark rim and a cast lid."""
+        for scale, level in ((1.0, 0.05), (0.86, 0.125)):
+            share = self.mask(_discs(discs * [1, 1, scale])) * np.float32(0.9)
+            tone += (level * (1 + 0.35 * self.grain) - tone) * share
+            color += (1 - color) * _half(share)[..., None]
+
+
+def _touches(ring: Array, hw: tuple[int, int]) -> bool:
+    h, w = hw
+    low, high = ring.min(axis=0), ring.max(axis=0)
+    return bool(low[0] < w and low[1] < h and high[0] > 0 and high[1] > 0)
+
+
+def _discs(discs: Array) -> list[Array]:
+    angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return [d[:2] + d[2] * circle for d in discs]

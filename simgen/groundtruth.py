@@ -1,0 +1,227 @@
+"""Pixel-centre rays → depth, ids, visibility; depth and cameras → flow.
+
+Rays go through pixel centres (u, v integer) of a pinhole, in float32; what they decide is only
+*which face* a pixel sees. All numbers then come from that face's plane in float64. For a plane
+n·x = d in camera coordinates the inverse depth is affine in the pixel:
+1/z = (n · K⁻¹ (u, v, 1)) / d, so three numbers per face give z exactly.
+
+Visibility is traced: a second ray connects the other camera with the surface point. The point is
+visible if that ray's first face is the point's own face, or lies no nearer than the point but for
+a tolerance (two faces meet at an edge).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from simgen.flowfield import flow_from_depth
+from simgen.geometry import Array, infinite_homography, inverse
+from simgen.rig import Camera
+from simgen.scene import FaceTable, Scene
+from simgen.schema import AT_INFINITY, GLASS, LABELS, OCCLUDED, OUT_OF_FRAME, VISIBLE
+
+NO_FACE = -1
+SAME_SURFACE_REL = 1e-4
+"""Two hits along one ray are one surface if their inverse depths differ by less than this share."""
+_ROWS = 48
+"""Rows per block: small enough for the cache of a core."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one camera sees at its pixel centres."""
+
+    camera: Camera
+    face: NDArray[np.int64]
+    """(H, W) face id, NO_FACE where no surface"""
+    inverse_depth: Array
+    """(H, W) 1/z [1/m], 0 where no surface"""
+    face_coeffs: Array
+    """(F, 3) inverse depth of each face's plane as affine function of (u, v, 1)"""
+
+
+def look(scene: Scene, camera: Camera) -> View:
+    """Casts one ray through each pixel centre."""
+    w, h = camera.wh
+    coeffs = _inverse_depth_coeffs(scene.faces, camera)
+    rays = _rays_from_pixels(camera)
+    face = np.empty((h, w), dtype=np.int64)
+    inverse_depth = np.empty((h, w))
+    u = np.arange(w, dtype=np.float64)
+
+    directions = np.empty((h, w, 3), dtype=np.float32)
+
+    def aim(rows: slice) -> None:
+        v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
+        directions[rows] = u[None, :, None] * rays[:, 0] + v[..., None] * rays[:, 1] + rays[:, 2]
+
+    def measure(rows: slice) -> None:
+        v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
+        abc = np.take(coeffs, face[rows], axis=0, mode="wrap")
+        value = abc[..., 0] * u + abc[..., 1] * v + abc[..., 2]
+        inverse_depth[rows] = np.where(face[rows] == NO_FACE, 0.0, value)
+
+    _over_rows(aim, h)
+    hit = trace(scene, camera.centre, directions.reshape(-1, 3))
+    face[:] = hit.reshape(h, w)
+    _over_rows(measure, h)
+    return View(camera, face, inverse_depth, coeffs)
+
+
+def depth(view: View) -> NDArray[np.float32]:
+    """z-depth (H, W) [m], 0 where no surface."""
+    with np.errstate(divide="ignore"):
+        return np.where(view.inverse_depth > 0, 1.0 / view.inverse_depth, 0.0).astype(np.float32)
+
+
+def semantic(view: View, faces: FaceTable) -> NDArray[np.uint8]:
+    """Cityscapes label ids (H, W)."""
+    return np.append(faces.semantic, np.uint8(LABELS["sky"]))[view.face]
+
+
+def instance(view: View, faces: FaceTable) -> NDArray[np.uint16]:
+    """Instance ids (H, W), 0 = none."""
+    return np.append(faces.instance, np.uint16(0))[view.face]
+
+
+def flow_status(scene: Scene, source: View, target: View) -> NDArray[np.uint8]:
+    """Visibility (H, W) of the source's pixels in the target camera, with the surface bits."""
+    w, h = source.camera.wh
+    T_target_source = target.camera.T_cam_world @ inverse(source.camera.T_cam_world)
+    projection = _Projection(source.camera, target.camera, T_target_source)
+    uv = np.empty((h, w, 2))
+    target_inverse_depth = np.empty((h, w))
+
+    def reproject(rows: slice) -> None:
+        uv[rows], target_inverse_depth[rows] = projection(rows, source.inverse_depth[rows])
+
+    _over_rows(reproject, h)
+    in_frame = _in_frame(uv, target_inverse_depth, target.camera.wh)
+    status = np.full((h, w), OUT_OF_FRAME, dtype=np.uint8)
+    seen = _sees(scene, target, uv[in_frame], source.face[in_frame], target_inverse_depth[in_frame])
+    status[in_frame] = np.where(seen, VISIBLE, OCCLUDED)
+    status[source.face == NO_FACE] += AT_INFINITY
+    status[np.append(scene.faces.glass, False)[source.face]] += GLASS
+    return status
+
+
+def flow(source_depth: NDArray[np.float32], left: Camera, right: Camera) -> NDArray[np.float32]:
+    """Left to right flow (H, W, 2) [px] from the depth as it is stored."""
+    return flow_from_depth(source_depth, left.K, right.K, right.T_cam_world @ left.T_world_cam)
+
+
+def _sees(scene: Scene, target: View, uv: Array, own_face: NDArray[np.int64],
+          own_inverse_depth: Array) -> NDArray[np.bool_]:  # fmt: skip
+    """Whether the target camera's ray through ``uv`` (N, 2) first meets the points it aims at."""
+    rays = _rays_from_pixels(target.camera)
+    directions = np.empty((len(uv), 3), dtype=np.float32)
+    hit_inverse_depth = np.empty(len(uv))
+
+    def aim(rows: slice) -> None:
+        directions[rows] = uv[rows, :1] * rays[:, 0] + uv[rows, 1:] * rays[:, 1] + rays[:, 2]
+
+    _over_rows(aim, len(uv), block=1 << 16)
+    hit = trace(scene, target.camera.centre, directions)
+
+    def measure(rows: slice) -> None:
+        abc = np.take(target.face_coeffs, hit[rows], axis=0, mode="wrap")
+        hit_inverse_depth[rows] = abc[:, 0] * uv[rows, 0] + abc[:, 1] * uv[rows, 1] + abc[:, 2]
+
+    _over_rows(measure, len(uv), block=1 << 16)
+    same_place = hit_inverse_depth <= own_inverse_depth * (1 + SAME_SURFACE_REL)
+    return np.where(own_face == NO_FACE, hit == NO_FACE,
+                    (hit == own_face) | (hit == NO_FACE) | same_place)  # fmt: skip
+
+
+class _Projection:
+    """Source pixels with inverse depth → target pixels with inverse depth, in float64.
+
+    With w = 1/z and x = K⁻¹ (u, v, 1): p_target · w = R x + t w, which holds at w = 0, too.
+    """
+
+    def __init__(self, source: Camera, target: Camera, T_target_source: Array) -> None:
+        self.H = infinite_homography(source.K, target.K, T_target_source[:3, :3])
+        self.e = target.K @ T_target_source[:3, 3]
+        self.u = np.arange(source.wh[0], dtype=np.float64)
+
+    def __call__(self, rows: slice, inverse_depth: Array) -> tuple[Array, Array]:
+        v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
+        x, y, s = (
+            h[0] * self.u + (h[1] * v + h[2]) + e * inverse_depth
+            for h, e in zip(self.H, self.e, strict=True)
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.stack([x / s, y / s], axis=-1), np.where(s > 0, inverse_depth / s, -1.0)
+
+
+def _in_frame(uv: Array, inverse_depth: Array, wh: tuple[int, int]) -> NDArray[np.bool_]:
+    w, h = wh
+    u, v = uv[..., 0], uv[..., 1]
+    ahead = inverse_depth >= 0
+    return ahead & (u >= -0.5) & (u < w - 0.5) & (v >= -0.5) & (v < h - 0.5)
+
+
+def _rays_from_pixels(camera: Camera) -> Array:
+    """M (3, 3) with world direction = M (u, v, 1)."""
+    return camera.T_world_cam[:3, :3] @ np.linalg.inv(camera.K)
+
+
+def _inverse_depth_coeffs(faces: FaceTable, camera: Camera) -> Array:
+    """(F, 3): 1/z = coeffs · (u, v, 1) for each face's plane; one extra row of 0 is not needed.
+
+    n·x = d with x = c + z M (u, v, 1) gives 1/z = n M (u, v, 1) / (d − n·c). A camera centre in
+    the plane sees the face edge-on, never at a pixel: its row is 0.
+    """
+    normal, d = faces.plane[:, :3], faces.plane[:, 3]
+    offset = d - normal @ camera.centre
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coeffs = (normal @ _rays_from_pixels(camera)) / offset[:, None]
+    return np.where(offset[:, None] == 0, 0.0, coeffs)
+
+
+def _over_rows(work: Callable[[slice], None], num: int, block: int = _ROWS) -> None:
+    """Runs ``work`` on blocks of rows in two or more threads (NumPy releases the lock)."""
+    slices = [slice(i, min(i + block, num)) for i in range(0, num, block)]
+    with ThreadPoolExecutor(max_workers=dr.thread_count()) as pool:
+        list(pool.map(work, slices))
+
+
+# --- tracing: the only part that depends on the variant ----------------------------------------
+
+
+def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The first face id (N,) along each ray from ``origin``, NO_FACE where none."""
+    if mi.variant().startswith("scalar"):
+        return _trace_scalar(scene, origin, directions)
+    return _trace_wavefront(scene, origin, directions)
+
+
+def _trace_wavefront(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
+    ray = mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(np.ascontiguousarray(directions.T)))
+    hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
+    registry_id = dr.reinterpret_array(mi.UInt32, hit.shape)
+    dr.eval(registry_id, hit.prim_index)
+    slot_ids = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)).numpy()[0] for s in scene.shapes]
+    first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int64)
+    first_face[slot_ids] = scene.first_face
+    shape = registry_id.numpy()
+    return np.where(shape == 0, NO_FACE, first_face[shape] + hit.prim_index.numpy())
+
+
+def _trace_scalar(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
+    """One ray at a time: only scalar_rgb works so."""
+    first_face = {s: int(f) for s, f in zip(scene.shapes, scene.first_face, strict=True)}
+    point, intersect = mi.Point3f(*origin.tolist()), scene.mi_scene.ray_intersect_preliminary
+    faces = np.full(len(directions), NO_FACE, dtype=np.int64)
+    for i, direction in enumerate(directions.tolist()):
+        hit = intersect(mi.Ray3f(point, mi.Vector3f(direction)), True)
+        if hit.is_valid():
+            faces[i] = first_face[hit.shape] + hit.prim_index
+    return faces

@@ -1,0 +1,152 @@
+"""Scene and camera → linear radiance, denoised. The only module that renders.
+
+Two passes: a path tracer with few samples, and a cheap first-hit pass with many that measures
+albedo, normals and distance. The denoiser works on *irradiance* (radiance / albedo of the same
+samples); multiplying by the well-sampled albedo brings the texture back untouched.
+
+Mitsuba's camera has x to the left and y up where ours (OpenCV) has x right and y down: the flip
+is here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pyoidn
+from numpy.typing import NDArray
+
+from simgen.daylight import transmittance
+from simgen.rig import Camera
+from simgen.scene import Scene
+
+Image = NDArray[np.float32]
+
+MAX_DEPTH = 4
+FEATURE_SPP = 16
+MIN_ALBEDO = 0.03
+"""Irradiance of darker surfaces is not divided further: black would blow the noise up."""
+FLIP = np.diag([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """First-hit means over each pixel."""
+
+    albedo: Image
+    """(H, W, 3), 1 where the sky is seen"""
+    normal: Image
+    """(H, W, 3), 0 for the sky"""
+    distance_m: Image
+    """(H, W) mean distance of the surfaces in the pixel"""
+    coverage: Image
+    """(H, W) share of the pixel that surfaces cover"""
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Seconds per stage."""
+
+    path: float
+    features: float
+    denoise: float
+
+
+def render(
+    scene: Scene, camera: Camera, *, spp: int, denoise: bool, seed: int
+) -> tuple[Image, Features, Timings]:
+    """Linear radiance (H, W, 3) without haze, and the first-hit features."""
+    sensor = load_sensor(camera)
+    start = time.perf_counter()
+    radiance, noisy_albedo = _trace_paths(scene, sensor, spp, seed)
+    traced = time.perf_counter()
+    features = _trace_features(scene, sensor, seed + 1)
+    measured = time.perf_counter()
+    if denoise:
+        irradiance = _denoised(radiance / noisy_albedo, features)
+        radiance = irradiance * np.maximum(features.albedo, MIN_ALBEDO)
+    done = time.perf_counter()
+    return radiance, features, Timings(traced - start, measured - traced, done - measured)
+
+
+def through_haze(radiance: Image, features: Features, haze: Image, visibility_m: float) -> Image:
+    """Adds the light of the air between camera and surfaces (Koschmieder) to (H, W, 3).
+
+    The sky is left alone: its map already holds the whole depth of the air.
+    """
+    veil = (1 - transmittance(features.distance_m, visibility_m)) * features.coverage
+    return radiance + (haze - radiance) * veil[..., None]
+
+
+def load_sensor(camera: Camera) -> Any:
+    """A Mitsuba pinhole with a box filter for one of our cameras."""
+    (w, h), K = camera.wh, camera.K
+    to_world = camera.T_world_cam.copy()
+    to_world[:3, :3] = to_world[:3, :3] @ FLIP
+    # Principal point: Mitsuba counts from the image's outer corner, in shares of the image.
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov_axis": "x",
+            "fov": float(np.rad2deg(2 * np.arctan(0.5 * w / K[0, 0]))),
+            "principal_point_offset_x": float(0.5 - (K[0, 2] + 0.5) / w),
+            "principal_point_offset_y": float(0.5 - (K[1, 2] + 0.5) / h),
+            "near_clip": 0.05,
+            "far_clip": 1e4,
+            "to_world": mi.ScalarTransform4f(to_world),
+            "film": {
+                "type": "hdrfilm", "width": w, "height": h, "pixel_format": "rgba",
+                "component_format": "float32", "rfilter": {"type": "box"},
+            },
+            "sampler": {"type": "independent"},
+        }
+    )  # fmt: skip
+
+
+def _trace_paths(scene: Scene, sensor: Any, spp: int, seed: int) -> tuple[Image, Image]:
+    """Radiance (H, W, 3), and the albedo (H, W, 3) of the same samples."""
+    integrator = mi.load_dict(
+        {
+            "type": "aov",
+            "aovs": "albedo:albedo",
+            "paths": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH + 1},
+        }
+    )
+    image = _rendered(scene, integrator, sensor, spp, seed)
+    sky = 1.0 - image[..., 3:4]
+    return image[..., :3], np.maximum(image[..., 4:7] + sky, MIN_ALBEDO)
+
+
+def _trace_features(scene: Scene, sensor: Any, seed: int) -> Features:
+    integrator = mi.load_dict(
+        {
+            "type": "aov",
+            "aovs": "albedo:albedo,normal:sh_normal",
+            "distance": {"type": "depth"},
+        }
+    )
+    image = _rendered(scene, integrator, sensor, FEATURE_SPP, seed)
+    distance, coverage = image[..., 0], image[..., 3]
+    albedo, normal = image[..., 4:7], image[..., 7:10]
+    mean_distance = distance / np.maximum(coverage, 1e-6)
+    return Features(albedo + (1 - coverage[..., None]), normal, mean_distance, coverage)
+
+
+def _rendered(scene: Scene, integrator: Any, sensor: Any, spp: int, seed: int) -> Image:
+    image = mi.render(
+        scene.mi_scene, integrator=integrator, sensor=sensor, spp=spp, seed=seed & 0xFFFFFFFF
+    )
+    return np.array(image, dtype=np.float32)
+
+
+def _denoised(irradiance: Image, features: Features) -> Image:
+    return pyoidn.denoise(
+        np.ascontiguousarray(irradiance),
+        albedo=np.ascontiguousarray(np.clip(features.albedo, 0, 1)),
+        normal=np.ascontiguousarray(features.normal),
+        hdr=True,
+        quality="fast",
+    )

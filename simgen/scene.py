@@ -1,0 +1,288 @@
+"""Everything drawn → one Mitsuba scene of few, merged meshes and a table of all its faces.
+
+Every scene has the same *slots* (mesh + BSDF), filled or not, so that the renderer compiles its
+kernels once. A material that is coloured by a sheet has two slots: the sheet itself, and a
+filtered copy for surfaces far away, since Mitsuba has no mip-maps. The ground has one slot per
+ring of its ortho maps.
+
+A *face id* counts the faces of all slots in slot order; ground truth is looked up by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from simgen.color import luminance
+from simgen.materials import FAR_SHEET_FACTOR, FAR_SHEET_M, MATERIALS, Material
+from simgen.mesh import Part
+from simgen.sheets import Sheet, filtered
+
+
+@dataclass(frozen=True, eq=False)
+class GroundRing:
+    """A piece of the ground and the ortho map that colours it."""
+
+    parts: list[Part]
+    """uv in [0, 1]² of the map; v = 0 is its first row"""
+    image: NDArray[np.uint8]
+    """(H, W, 3) sRGB"""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A light that burns at night."""
+
+    xyz: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    """(3,) radiant intensity on the axis [W/sr, in the unit of the scene's radiance]"""
+    cutoff_deg: float
+    beam_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """All surfaces and lights of a scene, before Mitsuba: plain arrays, metres, near the origin."""
+
+    parts: list[Part]
+    ground: list[GroundRing]
+    sheets: dict[str, Sheet]
+    """one for each material that is coloured by metres"""
+    sign_atlas: NDArray[np.uint8]
+    sky: NDArray[np.float32]
+    """(H, W, 3) linear radiance, latitude–longitude, see daylight.py"""
+    lamps: list[Lamp] = field(default_factory=list)
+    """none by day"""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceTable:
+    """What ground truth needs to know of each face, by face id."""
+
+    plane: NDArray[np.float64]
+    """(F, 4) world plane (n, d) with n·x = d; n is not normalised, and 0 for a degenerate face"""
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.uint16]
+    glass: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A loaded scene."""
+
+    mi_scene: Any
+    shapes: list[Any]
+    """Mitsuba's shape of each slot"""
+    first_face: NDArray[np.int64]
+    """(num_slots,) face id of each slot's first face"""
+    faces: FaceTable
+
+
+@dataclass(frozen=True, eq=False)
+class _Slot:
+    name: str
+    parts: list[Part]
+    bsdf: dict[str, Any]
+    material: Material
+
+
+def load(world: World, *, num_lamps: int) -> Scene:
+    """Hands the world to Mitsuba.
+
+    ``num_lamps`` is the number of light slots of a night scene (0 by day); the brightest lamps
+    take them, the rest of the slots stay dark.
+    """
+    slots = _slots(world)
+    meshes = [_mesh(slot) for slot in slots]
+    shapes = {f"slot_{i:02d}": m[0] for i, m in enumerate(meshes)}
+    lights = {f"lamp_{i:02d}": x for i, x in enumerate(_lamp_dicts(world.lamps, num_lamps))}
+    mi_scene = mi.load_dict(
+        {"type": "scene", **shapes, **lights, "sky": _sky_dict(world.sky)}, optimize=False
+    )
+    counts = [len(m[2]) for m in meshes]
+    return Scene(
+        mi_scene,
+        list(shapes.values()),
+        np.cumsum([0, *counts[:-1]]),
+        _face_table(slots, [(m[1], m[2]) for m in meshes]),
+    )
+
+
+# --- slots ------------------------------------------------------------------------------------
+
+
+def _slots(world: World) -> list[_Slot]:
+    """The fixed list of slots."""
+    slots = []
+    for name, material in MATERIALS.items():
+        parts = [p for p in world.parts if p.material == name]
+        if material.color_by == "ground":
+            slots += [_ground_slot(i, ring, material) for i, ring in enumerate(world.ground)]
+        elif material.color_by == "metres":
+            slots += _near_and_far(name, parts, world.sheets[name], material)
+        else:
+            texture = _texture(world.sign_atlas) if material.color_by == "atlas" else _VERTEX_COLOR
+            slots.append(_Slot(name, parts, _bsdf(material, texture), material))
+    unknown = {p.material for p in world.parts} - set(MATERIALS)
+    if unknown:
+        raise ValueError(f"scene: unknown materials {sorted(unknown)}; see materials.MATERIALS")
+    return slots
+
+
+def _ground_slot(i: int, ring: GroundRing, material: Material) -> _Slot:
+    texture = _texture(ring.image, wrap="clamp")
+    return _Slot(f"ground_{i}", ring.parts, _bsdf(material, texture), material)
+
+
+def _near_and_far(name: str, parts: Sequence[Part], sheet: Sheet, material: Material) -> list[_Slot]:
+    """Splits by distance from the rig (the origin) and filters the far sheet."""
+    distance = [np.linalg.norm(p.vertices[:, :2], axis=1).min() for p in parts]
+    near = [p for p, d in zip(parts, distance, strict=True) if d < FAR_SHEET_M]
+    far = [p for p, d in zip(parts, distance, strict=True) if d >= FAR_SHEET_M]
+    far_sheet = filtered(sheet, FAR_SHEET_FACTOR)
+    return [
+        _Slot(label, ps, _bsdf(material, _texture(s.image, s.metres)), material)
+        for label, ps, s in ((name, near, sheet), (f"{name}_far", far, far_sheet))
+    ]
+
+
+_VERTEX_COLOR = {"type": "mesh_attribute", "name": "vertex_color"}
+
+
+def _texture(image: NDArray[np.uint8], metres: float = 1.0, wrap: str = "repeat") -> dict[str, Any]:
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
+        "format": "fp16",
+        "wrap_mode": wrap,
+        "to_uv": mi.ScalarTransform4f().scale([1 / metres, 1 / metres, 1.0]),
+    }
+
+
+def _bsdf(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
+    surfaces: dict[str, dict[str, Any]] = {
+        "diffuse": {"type": "diffuse", "reflectance": texture},
+        "paint": {"type": "principled", "base_color": texture, "roughness": 0.35,
+                  "specular": 0.5, "clearcoat": 1.0, "clearcoat_gloss": 0.95},
+        "glass": {"type": "principled", "base_color": texture, "roughness": 0.06,
+                  "specular": 0.6},
+        "metal": {"type": "principled", "base_color": texture, "metallic": 0.7,
+                  "roughness": 0.45},
+    }  # fmt: skip
+    return {"type": "twosided", "bsdf": surfaces[material.reflects]}
+
+
+# --- meshes -----------------------------------------------------------------------------------
+
+# An unused slot holds one small triangle far below every scene.
+_NOWHERE = np.array([[0.0, 0.0, -900.0], [0.01, 0.0, -900.0], [0.0, 0.01, -900.0]])
+
+
+def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
+    """Merges a slot's parts to one Mitsuba mesh; returns it with its vertices and faces."""
+    vertices, faces = _merged_geometry(slot.parts)
+    has_uv = slot.material.color_by != "vertex"
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(slot.bsdf)
+    mesh = mi.Mesh(
+        slot.name, len(vertices), len(faces), has_vertex_texcoords=has_uv, props=properties
+    )
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = vertices.ravel()
+    params["faces"] = faces.ravel()
+    if has_uv:
+        params["vertex_texcoords"] = _attribute(slot.parts, "uv", 2).ravel()
+    params.update()
+    if not has_uv:
+        mesh.add_attribute("vertex_color", 3, _attribute(slot.parts, "color", 3).ravel())
+    return mesh, vertices, faces
+
+
+def _merged_geometry(parts: Sequence[Part]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    if not parts:
+        return _NOWHERE.astype(np.float32), np.array([[0, 1, 2]], dtype=np.uint32)
+    offsets = np.cumsum([0] + [len(p.vertices) for p in parts[:-1]])
+    vertices = np.concatenate([p.vertices for p in parts]).astype(np.float32)
+    faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=True)])
+    return vertices, faces.astype(np.uint32)
+
+
+def _attribute(parts: Sequence[Part], name: str, size: int) -> NDArray[np.float32]:
+    if not parts:
+        return np.zeros((3, size), dtype=np.float32)
+    for p in parts:
+        if getattr(p, name) is None:
+            raise ValueError(f"scene: a part of material {p.material!r} has no {name}")
+    return np.concatenate([getattr(p, name) for p in parts]).astype(np.float32)
+
+
+def _face_table(
+    slots: Sequence[_Slot], geometry: Sequence[tuple[NDArray[np.float32], NDArray[np.uint32]]]
+) -> FaceTable:
+    planes = [_planes(v.astype(np.float64), f) for v, f in geometry]
+
+    def per_face(attribute: str) -> NDArray[Any]:
+        columns = [
+            np.full(len(p.faces), getattr(p, attribute))
+            for slot in slots
+            for p in (slot.parts or [_EMPTY])
+        ]
+        return np.concatenate(columns)
+
+    glass = [
+        np.full(len(f), s.material.reflects == "glass")
+        for s, (_, f) in zip(slots, geometry, strict=True)
+    ]
+    return FaceTable(
+        np.concatenate(planes),
+        per_face("semantic").astype(np.uint8),
+        per_face("instance").astype(np.uint16),
+        np.concatenate(glass),
+    )
+
+
+_EMPTY = Part(_NOWHERE, np.array([[0, 1, 2]]), "", 0)
+
+
+def _planes(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray[np.float64]:
+    """(F, 4) planes through the float32 vertices that the renderer holds, in float64."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    return np.concatenate([normal, np.sum(normal * a, axis=1, keepdims=True)], axis=1)
+
+
+# --- lights -----------------------------------------------------------------------------------
+
+
+def _sky_dict(sky: NDArray[np.float32]) -> dict[str, Any]:
+    """An environment emitter, turned from Mitsuba's y-up to our z-up."""
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(sky, dtype=np.float32)),
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
+    }
+
+
+def _lamp_dicts(lamps: Sequence[Lamp], num: int) -> list[dict[str, Any]]:
+    brightest = sorted(lamps, key=lambda lamp: -float(luminance(lamp.intensity)))[:num]
+    off = Lamp(np.array([0.0, 0, -800]), np.array([0.0, 0, -1]), np.zeros(3), 60.0, 50.0)
+    return [_spot(lamp) for lamp in [*brightest, *[off] * (num - len(brightest))]]
+
+
+def _spot(lamp: Lamp) -> dict[str, Any]:
+    up = [1.0, 0.0, 0.0] if abs(lamp.direction[2]) > 0.9 else [0.0, 0.0, 1.0]
+    return {
+        "type": "spot",
+        "intensity": {"type": "rgb", "value": [float(x) for x in lamp.intensity]},
+        "cutoff_angle": lamp.cutoff_deg,
+        "beam_width": lamp.beam_deg,
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin=lamp.xyz.tolist(), target=(lamp.xyz + lamp.direction).tolist(), up=up
+        ),
+    }
