@@ -29,7 +29,7 @@ LIFT_M = 0.006
 _STATION_GAP_M = 0.025
 """silhouette points nearer to each other than this share a section"""
 _ROOF_ANGLES = np.deg2rad([0.0, 32.0, 62.0, 90.0])
-_CAP_COLUMNS = 7
+_CAP_COLUMNS = 5
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Outline:
 
     def belt_at(self, x: ArrayLike) -> Array:
         """The belt line; over bonnet and boot it runs just below their surface."""
-        belt = np.interp(x, self.belt[:, 0], self.belt[:, 1])
+        belt = np.interp(np.asarray(x), self.belt[:, 0], self.belt[:, 1])
         return np.minimum(belt, self.top_at(x) - 0.03)
 
     def rail_at(self, x: ArrayLike) -> Array:
@@ -88,7 +88,7 @@ class Outline:
 
     def bottom_at(self, x: ArrayLike, grow: float = 0.0) -> Array:
         """The lower edge with the arches cut; ``grow`` moves it outwards from sill and wheels."""
-        z = np.interp(x, self.bottom[:, 0], self.bottom[:, 1]) + grow
+        z = np.interp(np.asarray(x), self.bottom[:, 0], self.bottom[:, 1]) + grow
         for arch in self.arches:
             radius, dx = arch.radius + grow, np.asarray(x) - arch.x
             over = arch.z + np.sqrt(np.maximum(radius**2 - dx**2, 0.0))
@@ -121,20 +121,22 @@ def stations(outline: Outline) -> Array:
     """Rising x of the cross-sections: dense where an outline bends, each arch edge cut twice."""
     tail, nose = outline.span
     corner = outline.corner * np.array([0.12, 0.4, 1.0])
-    x = np.concatenate([outline.top[:, 0], tail + corner, nose - corner, np.linspace(tail, nose, 7)])
+    x = np.concatenate(
+        [outline.top[:, 0], tail + corner, nose - corner, np.linspace(tail, nose, 5)]
+    )
     for arch in outline.arches:  # which brings its own stations
         x = x[np.abs(x - arch.x) > arch.radius + outline.cladding + 0.03]
     x = np.unique(x.clip(tail, nose))
-    x = x[np.append(np.diff(x) > _STATION_GAP_M, True)]
+    x = x[np.append(np.diff(x) > _STATION_GAP_M, True) | (x == tail)]
     around = [_around(arch, outline.cladding) for arch in outline.arches]
     return np.unique(np.concatenate([x, *around]).clip(tail, nose))
 
 
 def _around(arch: Arch, cladding: float) -> Array:
     """Stations of an arch: just outside and just inside its edge, and over the wheel."""
-    half = arch.radius * np.sin(np.deg2rad([25.0, 50.0, 74.0]))
+    half = arch.radius * np.sin(np.deg2rad([16.0, 44.0, 69.0]))
     half = np.append(half, arch.radius + np.array([0.0, 0.01, cladding + 0.02]))
-    return arch.x + np.concatenate([-half, [0.0], half])
+    return arch.x + np.concatenate([-half, half])
 
 
 def sections(outline: Outline) -> Array:
@@ -243,7 +245,6 @@ class Shell:
         Raises:
             ValueError: a point of the grid is beside the shell.
         """
-        rows, columns = grid.shape[:2]
         fine = _halved(_halved(grid).swapaxes(0, 1)).swapaxes(0, 1)
         outward, normal = self._skin[direction].cast(fine.reshape(-1, 2))
         outward = outward.reshape(fine.shape[:2])
@@ -252,7 +253,9 @@ class Shell:
         cut = (outward - coarse) * np.abs(normal[:, axis]).reshape(outward.shape)
         xyz = np.insert(grid, axis, sign * outward[::2, ::2], axis=2)
         xyz += (lift + max(0.0, cut.max())) * normal.reshape(*outward.shape, 3)[::2, ::2]
-        return sheet(xyz if direction == "front" else xyz[:, ::-1])
+        vertices, faces = sheet(xyz)
+        return vertices, faces if direction == "front" else faces[:, ::-1]
+
 
 def _halved(values: Array) -> Array:
     """Rows (R, …) with their midpoints between them (2R − 1, …)."""
@@ -305,6 +308,13 @@ def band_grid(u: Array, low: ArrayLike, high: ArrayLike, rows: int = 3) -> Array
     v = np.linspace(0, 1, rows)[:, None]
     z = np.broadcast_to(low, u.shape) * (1 - v) + np.broadcast_to(high, u.shape) * v
     return np.stack([np.broadcast_to(u, z.shape), z], axis=-1)
+
+
+def tiled(mesh: Mesh, kind: NDArray[np.int64]) -> list[Mesh]:
+    """Splits a sheet by the kind (R - 1, C - 1) of its cells: the mesh of kind 0, of kind 1, …"""
+    vertices, faces = mesh
+    of_face = np.tile(kind.ravel(), 2)
+    return [(vertices, faces[of_face == k]) for k in range(int(kind.max()) + 1)]
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:

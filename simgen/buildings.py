@@ -4,59 +4,30 @@ Levels of detail: 0 has real openings and everything that sticks out (up to 40 m
 windows, doors, roofs and chimneys (40 to 120 m), 2 is walls, dark panes and a roof. All three
 draw the same style and the same openings from the same generator state.
 
-facades.py fills the walls, roofs.py shapes the roof.
+massing.py says what goes in, facades.py lays out the walls, fittings.py and shopfronts.py fill
+them, roofs.py is the geometry of roofs and roofing.py builds them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simgen.facades import (
-    BELOW_GROUND_M,
-    KINDS,
-    Kind,
-    Openings,
-    Style,
-    Wall,
-    detailed_openings,
-    drawn_openings,
-    drawn_style,
-    far_openings,
-    flat_openings,
-    pipe,
-    plain_surface,
-    wall_sheeted,
-    wall_surface,
-)
-from simgen.mesh import Model, Part, merged, part, tube
-from simgen.roofs import RoofForm, RoofSurface, convex_pieces, roof_surface
-from simgen.schema import LABELS
-from simgen.solids import (
-    WORLD,
-    Frame,
-    band,
-    boxes,
-    curtain,
-    offset_ring,
-    painted,
-    rectangles,
-    sheeted,
-    slabs,
-    upright,
-)
+from simgen.facades import Wall, drawn_openings, drawn_style, plain_surface, wall_surface, walls_of
+from simgen.fittings import detailed_openings, far_openings, flat_openings
+from simgen.massing import KINDS, Massing
+from simgen.mesh import Model, Part, merged
+from simgen.roofing import flat_roof, pitched_roof
 
-Array = NDArray[np.float64]
-Color = tuple[float, float, float]
+__all__ = ["MAX_FAR_TRIANGLES", "WALL_MATERIALS", "Massing", "build"]
 
 WALL_MATERIALS = ("wall_0", "wall_1", "wall_2", "wall_3")
 MAX_FAR_TRIANGLES = 300
-"""of a building at level of detail 2"""
+"""of a building at level of detail 2 whose footprint has at most 12 corners"""
+
 
 def build(
     massing: Massing,
@@ -71,86 +42,40 @@ def build(
         lod: level of detail, see the module's docstring.
         walls: wall materials to choose from; repeat a name to make it likelier.
     """
+    if lod not in (0, 1, 2):
+        raise ValueError(f"build: level of detail {lod} is unknown; choose 0, 1 or 2")
     kind = KINDS[massing.kind]
-    style = drawn_style(kind, list(walls), rng=rng)
-    roof = roof_surface(massing.footprint, massing.roof, massing.roof_height, massing.ridge_rad)
-    parapet = rng.uniform(0.35, 0.9) if massing.roof == "flat" else 0.0
-    sides = _walls(massing, kind, parapet)
-    openings = [drawn_openings(wall, kind, style, rng=rng) for wall in sides]
+    style = drawn_style(kind, walls, rng=rng)
+    parapet_m = rng.uniform(0.35, 0.9) if massing.roof == "flat" else 0.0
+    sides = walls_of(massing, kind, parapet_m)
+    layouts = [drawn_openings(wall, kind, style, rng=rng) for wall in sides]
     model: Model = []
-    for wall, holes in zip(sides, openings, strict=True):
-        model += _side(wall, holes, style, rng, lod, num_sides=len(sides))
+    for wall, openings in zip(sides, layouts, strict=True):
+        if lod == 0:
+            model.append(wall_surface(wall, style, openings))
+            model += detailed_openings(wall, kind, style, openings, rng=rng)
+        elif lod == 1:
+            model.append(plain_surface(wall, style))
+            model += flat_openings(wall, style, openings, rng=rng)
+        else:
+            model.append(plain_surface(wall, style))
+            model += far_openings(wall, openings, _max_panes(sides), rng=rng)
     if massing.roof == "flat":
-        model += _flat_roof(massing, parapet, style, rng, lod)
+        model += flat_roof(massing, parapet_m, style, rng=rng, lod=lod)
     else:
-        model += _pitched_roof(massing, roof, sides, style, rng, lod)
+        model += pitched_roof(massing, sides, style, rng=rng, lod=lod)
     return _by_material(model)
+
+
+def _max_panes(sides: Sequence[Wall]) -> int:
+    """Panes per wall that MAX_FAR_TRIANGLES leaves after walls, gables and roof."""
+    n = len(sides)
+    return max((MAX_FAR_TRIANGLES - 10 * n) // (2 * n), 1)
 
 
 def _by_material(model: Model) -> Model:
     groups: dict[str, list[Part]] = defaultdict(list)
-    for p in model:
-        if len(p.faces):
-            groups[p.material].append(p)
+    for part in model:
+        if len(part.faces):
+            groups[part.material].append(part)
     return [merged(parts) for parts in groups.values()]
-
-
-# ---- walls ------------------------------------------------------------------------------------
-
-
-def _walls(massing: Massing, kind: Kind, parapet: float) -> list[Wall]:
-    ring = massing.footprint
-    edges = np.roll(ring, -1, axis=0) - ring
-    lengths = np.linalg.norm(edges, axis=1)
-    starts = np.cumsum(lengths) - lengths
-    out = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
-    floors = _floors(massing, kind, parapet)
-    return [
-        Wall(
-            frame=upright([*ring[i], massing.base_z], out[i]),
-            length_m=float(lengths[i]),
-            floors=floors,
-            side=_side_name(float(out[i] @ out[massing.front % len(ring)]), i == massing.front),
-            on_ground=massing.on_ground,
-            uv_start=float(starts[i]),
-        )
-        for i in range(len(ring))
-    ]
-
-
-def _side_name(cosine: float, is_front: bool) -> Literal["front", "side", "back"]:
-    """By the angle between a wall and the front."""
-    if is_front:
-        return "front"
-    return "back" if abs(cosine) > 0.7 else "side"
-
-
-def _floors(massing: Massing, kind: Kind, parapet: float) -> Array:
-    """Heights of the floors above the base, and of the top of the wall."""
-    height = massing.wall_height
-    ground = kind.ground_m if massing.on_ground and kind.ground_m < 0.8 * height else 0.0
-    count = max(round((height - ground) / kind.storey_m), 1)
-    upper = np.linspace(ground, height, count + 1)
-    floors = np.concatenate([[0.0], upper]) if ground else upper
-    floors[-1] += parapet
-    return floors
-
-
-def _side(
-    wall: Wall,
-    openings: Openings,
-    style: Style,
-    rng: np.random.Generator,
-    lod: int,
-    num_sides: int,
-) -> Model:
-    if lod == 0:
-        surface = wall_surface(wall, style, openings)
-        return [surface, *detailed_openings(wall, style, openings, rng=rng)]
-    surface = plain_surface(wall, style)
-    if lod == 1:
-        return [surface, *flat_openings(wall, style, openings, rng=rng)]
-    max_quads = (MAX_FAR_TRIANGLES // 2 - 60) // num_sides
-    return [surface, *far_openings(wall, openings, max_quads, rng=rng)]
-
-

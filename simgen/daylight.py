@@ -91,17 +91,15 @@ def transmittance(distance_m: Image, visibility_m: float) -> Image:
 
 def _clear_sky(sky: SkySpec) -> tuple[Image, Image]:
     """The sunless clear sky (H, W, 3), and the sun's irradiance (3,) on a plane facing it."""
-    emitter = {
+    shared = {
         "type": "sunsky",
         "sun_direction": mi.ScalarVector3f(*sun_direction(sky).tolist()),
         "turbidity": sky.turbidity,
-        "to_world": mi.ScalarTransform4f(),
     }
-    cube = {
-        axis: _photograph({**emitter, "sun_scale": 0.0}, look, up)
-        for axis, (look, up) in _CUBE.items()
-    }
-    centre = _photograph({**emitter, "sky_scale": 0.0}, sun_direction(sky), (1.0, 0.0, 0.02), 0.2)
+    dome = mi.load_dict({**shared, "sun_scale": 0.0})
+    sun = mi.load_dict({**shared, "sky_scale": 0.0})
+    cube = {axis: _photograph(dome, look, up) for axis, (look, up) in _CUBE.items()}
+    centre = _photograph(sun, sun_direction(sky), (1.0, 0.0, 0.02), fov_deg=0.2)
     solid_angle = 2 * np.pi * (1 - np.cos(np.deg2rad(0.5358 / 2)))
     return _from_cube(cube), centre.mean(axis=(0, 1)) * np.float32(solid_angle)
 
@@ -113,9 +111,7 @@ _CUBE = {
 }  # fmt: skip
 
 
-def _photograph(
-    emitter: dict[str, Any], look: Any, up: Any, fov_deg: float = 90.0
-) -> Image:
+def _photograph(emitter: Any, look: Any, up: Any, fov_deg: float = 90.0) -> Image:
     size = _CUBE_FACE_PX if fov_deg == 90.0 else 8
     scene = mi.load_dict(
         {

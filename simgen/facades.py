@@ -6,15 +6,16 @@ building, z out of the wall, metres. ``rects`` (M, 4) are left, bottom, right, t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from simgen.massing import KINDS, Kind
+from simgen.massing import Kind, Massing
 from simgen.mesh import Part
-from simgen.solids import Frame, rectangles, sheeted
+from simgen.solids import Frame, rectangles, sheeted, upright
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]
@@ -63,11 +64,13 @@ class Style:
     spandrels: bool
     """coloured panels below the windows"""
     solid_balconies: bool
+    courses: bool
+    """a band of stone at each floor"""
     covered: float
     """share of windows with a blind or a curtain"""
 
 
-def drawn_style(kind: Kind, walls: list[str], *, rng: np.random.Generator) -> Style:
+def drawn_style(kind: Kind, walls: Sequence[str], *, rng: np.random.Generator) -> Style:
     """Draws a style."""
 
     def one_of(colors: list[Color]) -> Color:
@@ -76,7 +79,7 @@ def drawn_style(kind: Kind, walls: list[str], *, rng: np.random.Generator) -> St
     share, pitch = rng.uniform(*kind.window_share), rng.uniform(*kind.pitch_m)
     u, v = rng.uniform(0, 32, 2)
     return Style(
-        wall=walls[rng.integers(len(walls))],
+        wall=walls[int(rng.integers(len(walls)))],
         uv_offset=(float(u), float(v)),
         pitch_m=pitch,
         window_share=share,
@@ -91,9 +94,10 @@ def drawn_style(kind: Kind, walls: list[str], *, rng: np.random.Generator) -> St
         plinth_m=rng.uniform(0.15, 0.4),
         lintels=bool(rng.random() < 0.5),
         shutters=kind.ground == "door" and share < 0.45 and bool(rng.random() < 0.3),
-        spandrels=share > 0.5 and bool(rng.random() < 0.4),
+        spandrels=kind.window_share[1] > 0.8 and kind.ground != "gate" and bool(rng.random() < 0.4),
         solid_balconies=bool(rng.random() < 0.5),
-        covered=rng.uniform(0.35, 0.8),
+        courses=kind.storey_m < 5 and bool(rng.random() < 0.3),
+        covered=rng.uniform(0.45, 0.9),
     )
 
 
@@ -107,6 +111,8 @@ class Wall:
     """(S + 1,) heights of the floors and of the top of the wall"""
     side: Literal["front", "side", "back"]
     on_ground: bool
+    drained: bool
+    """whether a downpipe from a flat roof runs down near its left end"""
     uv_start: float
     """metres of wall that come before this one"""
 
@@ -125,16 +131,46 @@ class Openings:
         return self.rects[np.isin(self.use, uses)]
 
 
-def drawn_openings(
-    wall: Wall, kind: Kind, style: Style, *, rng: np.random.Generator
-) -> Openings:
+def walls_of(massing: Massing, kind: Kind, parapet_m: float) -> list[Wall]:
+    """The sides of a building."""
+    ring = massing.footprint
+    edges = np.roll(ring, -1, axis=0) - ring
+    lengths = np.linalg.norm(edges, axis=1)
+    starts = np.cumsum(lengths) - lengths
+    out = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
+    along_front = np.abs(out @ out[massing.front]) > 0.7
+    floors = _floors(massing, kind, parapet_m)
+    return [
+        Wall(
+            frame=upright([*ring[i], massing.base_z], out[i]),
+            length_m=float(lengths[i]),
+            floors=floors,
+            side="front" if i == massing.front else "back" if along_front[i] else "side",
+            on_ground=massing.on_ground,
+            drained=massing.roof == "flat" and massing.on_ground and bool(along_front[i]),
+            uv_start=float(starts[i]),
+        )
+        for i in range(len(ring))
+    ]
+
+
+def _floors(massing: Massing, kind: Kind, parapet_m: float) -> Array:
+    height = massing.wall_height
+    ground = kind.ground_m if massing.on_ground and kind.ground_m < 0.8 * height else 0.0
+    count = max(round((height - ground) / kind.storey_m), 1)
+    floors = np.linspace(ground, height, count + 1)
+    floors[-1] += parapet_m
+    return np.concatenate([[0.0], floors]) if ground else floors
+
+
+def drawn_openings(wall: Wall, kind: Kind, style: Style, *, rng: np.random.Generator) -> Openings:
     """Divides a wall into bays and storeys and draws what is in each."""
     num_bays = int((wall.length_m - 0.4) / style.pitch_m) or int(wall.length_m > 2.0)
     num_storeys = len(wall.floors) - 1
     bay = wall.length_m / max(num_bays, 1)
     bays = np.arange(num_bays)
     width = style.window_share * bay * np.where(rng.random(num_bays) < 0.12, 0.55, 1.0)
-    present = rng.random(num_bays) < (kind.side_share if wall.side == "side" else 0.97)
+    present = rng.random(num_bays) < (kind.side_share if wall.side == "side" else 1.0)
     balcony = rng.random(num_bays) < kind.balcony_share * (wall.side != "side") * (bay > 2.4)
 
     storey, column = (a.ravel() for a in np.meshgrid(np.arange(num_storeys), bays, indexing="ij"))
@@ -143,54 +179,46 @@ def drawn_openings(
     bottom = np.maximum(np.minimum(floor + style.sill_m, top - 0.6), floor + 0.1)
     use = np.where(balcony[column] & (storey > 0), "tall", "window")
     bottom = np.where(use == "tall", floor + 0.08, bottom)
-    centre = (column + 0.5) * bay
-    rects = np.stack([centre - width[column] / 2, bottom, centre + width[column] / 2, top], axis=1)
-    upper = Openings(rects, storey, use)
+    rects = _row((column + 0.5) * bay, width[column], bottom, top)
     keep = present[column]
-    if not (wall.side == "front" and wall.on_ground and num_bays):
-        return _selected(upper, keep)
-    upper = _selected(upper, keep & (storey > 0))
-    return _joined(_ground_floor(wall, kind, style, rects[:num_bays], rng), upper)
-
-
-def _selected(openings: Openings, keep: NDArray[np.bool_]) -> Openings:
-    return Openings(openings.rects[keep], openings.storey[keep], openings.use[keep])
-
-
-def _joined(a: Openings, b: Openings) -> Openings:
-    return Openings(
-        np.concatenate([a.rects, b.rects]),
-        np.concatenate([a.storey, b.storey]),
-        np.concatenate([a.use, b.use]),
-    )
+    if wall.side == "front" and wall.on_ground and num_bays:
+        rects[:num_bays], use[:num_bays] = _ground_floor(
+            wall, kind, style, rects[:num_bays], rng=rng
+        )
+    return Openings(rects[keep], storey[keep], use[keep])
 
 
 def _ground_floor(
-    wall: Wall, kind: Kind, style: Style, windows: Array, rng: np.random.Generator
-) -> Openings:
+    wall: Wall, kind: Kind, style: Style, windows: Array, *, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.str_]]:
     """The street side of the ground floor: one door, and shop windows or gates by kind."""
     num_bays = len(windows)
     bay, ceiling = wall.length_m / num_bays, wall.floors[1]
+    middle = (np.arange(num_bays) + 0.5) * bay
     rects, use = windows.copy(), np.full(num_bays, "window", dtype="<U6")
-    middle = windows[:, [0, 2]].mean(axis=1)
     if kind.ground == "shop":
+        rects[:] = _row(middle, bay - 0.4, style.plinth_m + 0.1, ceiling - 0.95)
         use[:] = "shop"
-        half, head = bay / 2 - 0.2, ceiling - 0.95
-        rects = np.column_stack([middle - half, np.full(num_bays, style.plinth_m + 0.1),
-                                 middle + half, np.full(num_bays, head)])  # fmt: skip
+
     door = rng.integers(num_bays)
     gates = rng.random(num_bays) < (0.45 if kind.ground == "gate" else 0.0)
-    if kind is KINDS["house"] and num_bays > 2 and rng.random() < 0.4:
-        gates[door - 1] = True
+    garage = num_bays > 2 and rng.random() < kind.garage_share
+    gates[door - 1] |= garage or kind.ground == "gate"
     gates[door] = False
-    half = min(kind.door_m[0], bay - 0.3) / 2
-    rects[door] = middle[door] - half, 0.04, middle[door] + half, min(kind.door_m[1], ceiling - 0.3)
-    use[door] = "door"
-    half, head = min(3.8, bay - 0.5) / 2, min(4.2 if kind.ground == "gate" else 2.15, ceiling - 0.4)
-    rects[gates, 0], rects[gates, 2] = middle[gates] - half, middle[gates] + half
-    rects[gates, 1], rects[gates, 3] = 0.04, head
+    head = 4.2 if kind.ground == "gate" else 2.15
+    rects[gates] = _row(middle, min(3.8, bay - 0.5), 0.04, min(head, ceiling - 0.4))[gates]
     use[gates] = "gate"
-    return Openings(rects, np.zeros(num_bays, dtype=np.int64), use)
+
+    width, head = kind.door_m
+    rects[door] = _row(middle, min(width, bay - 0.3), 0.04, min(head, ceiling - 0.3))[door]
+    use[door] = "door"
+    return rects, use
+
+
+def _row(middle: ArrayLike, width: ArrayLike, bottom: ArrayLike, top: ArrayLike) -> Array:
+    """Rectangles (M, 4) of given widths around their middles (M,)."""
+    x, half = np.asarray(middle), np.asarray(width) / 2
+    return np.stack(np.broadcast_arrays(x - half, bottom, x + half, top), axis=-1)
 
 
 # ---- walls ------------------------------------------------------------------------------------
@@ -222,5 +250,3 @@ def wall_sheeted(wall: Wall, style: Style, quads: Array) -> Part:
     """Quads of a wall with the building's wall sheet."""
     u, v = style.uv_offset
     return sheeted(wall.frame, quads, style.wall, (u + wall.uv_start, v))
-
-

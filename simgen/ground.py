@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from simgen.color import srgb_from_linear
@@ -28,6 +27,7 @@ from simgen.recipe import SceneSpec
 from simgen.roads import Lane, Network, Surface, at_station, stations, strip
 from simgen.scene import GroundRing
 from simgen.schema import LABELS
+from simgen.site import Site, rings
 
 NUM_BANDS = 6
 """The last one is everything that is left: behind, beside, and far away."""
@@ -115,7 +115,7 @@ def _band(T_world_rig: Array, low: Array, high: Array, texels: tuple[float, floa
 
 
 def build(
-    network: Network,
+    site: Site,
     spec: SceneSpec,
     paints: Sequence[Paint],
     T_world_rig: Array,
@@ -129,9 +129,9 @@ def build(
     Terrain outside the world box [``far_low``, ``far_high``] (2,) is cut off: the background
     begins there.
     """
-    layers = _layers(network, spec, paints)
+    layers = _layers(site, spec, paints)
     all_bands = bands(T_world_rig, optics)
-    pieces = _cut(network, all_bands, T_world_rig, far_low, far_high)
+    pieces = _cut(site.network, all_bands, T_world_rig, far_low, far_high)
     seed = int(spec.stream("ground").integers(1 << 31))
     with ThreadPoolExecutor(max_workers=2) as pool:
         images = list(pool.map(lambda band: _paint(band, layers, spec, seed), all_bands))
@@ -246,7 +246,8 @@ def _joined(surfaces: Sequence[Surface]) -> Surface:
 # --- what lies on the ground ---------------------------------------------------------------------
 
 
-def _layers(network: Network, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
+def _layers(site: Site, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
+    network = site.network
     rng = spec.stream("asphalt")
     lanes = [lane for lane in network.lanes if lane.kind in ("driving", "parking")]
     driving = [lane for lane in lanes if lane.kind == "driving"]
@@ -254,8 +255,8 @@ def _layers(network: Network, spec: SceneSpec, paints: Sequence[Paint]) -> Layer
     seams = [s for lane in driving for s in _seams(lane.centre, lane.width, wear, rng)]
     pavements = [lane for lane in network.lanes if lane.kind == "sidewalk"]
     return Layers(
-        asphalt=_outlines(network.surfaces["road"]),
-        pavement=_outlines(network.surfaces["sidewalk"]),
+        asphalt=rings(site.asphalt),
+        pavement=rings(site.pavement),
         median=median_outlines(network),
         paint=list(paints),
         tracks=[strip(lane.offset(side), 0.28, -0.28)[:, :2]
@@ -265,15 +266,6 @@ def _layers(network: Network, spec: SceneSpec, paints: Sequence[Paint]) -> Layer
         covers=_scattered(driving, 0.012, (0.28, 0.36), rng),
         stains=_scattered(lanes, 0.05 + 0.1 * wear, (0.08, 0.6), rng),
     )  # fmt: skip
-
-
-def _outlines(surface: Surface) -> list[Array]:
-    """Rings (N, 2) of the area that a surface covers seen from above; holes are rings, too."""
-    if not len(surface.faces):
-        return []
-    area = shapely.union_all(shapely.polygons(surface.vertices[surface.faces][..., :2])).buffer(0.02)
-    polygons = shapely.get_parts(area)
-    return [np.array(r.coords) for p in polygons for r in (p.exterior, *p.interiors)]
 
 
 def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> list[Array]:
@@ -292,13 +284,13 @@ def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> 
 
 
 def _slab_joints(line: Array, width: float) -> list[Array]:
-    """Joints across a pavement, and one along it."""
-    out = [_thin(line[:, :2], 0.012)]
-    for s in np.arange(0.4, stations(line)[-1], 0.8):
-        point, heading = at_station(line, s)
-        normal = np.array([-np.sin(heading), np.cos(heading)]) * width / 2
-        out.append(_thin(np.stack([point[:2] - normal, point[:2] + normal]), 0.012))
-    return out
+    """Joints across a pavement every 0.8 m, and one along it."""
+    points, headings = at_station(line, np.arange(0.4, stations(line)[-1], 0.8))
+    along = np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None]
+    across = along[..., ::-1] * [-1, 1]
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * [0.006, width / 2]
+    joints = points[:, None, :2] + corners[:, :1] * along + corners[:, 1:] * across
+    return [_thin(line[:, :2], 0.012), *joints]
 
 
 def _thin(line: Array, width: float) -> Array:

@@ -35,12 +35,14 @@ class Kind:
     """share of bays with windows on walls that do not face the street, nor away from it"""
     balcony_share: float = 0.0
     """chance that a bay of the front or the back has balconies"""
+    garage_share: float = 0.0
+    """chance of a garage in the ground floor"""
     door_m: tuple[float, float] = (1.0, 2.1)
     """width and height"""
 
 
 KINDS: dict[str, Kind] = {
-    "house": Kind(2.75, (2.9, 4.2), (0.34, 0.5), (1.1, 1.4), (0.85, 1.0)),
+    "house": Kind(2.75, (2.9, 4.2), (0.34, 0.5), (1.1, 1.4), (0.85, 1.0), garage_share=0.4),
     "terrace": Kind(2.9, (2.0, 3.0), (0.4, 0.55), (1.4, 1.8), (0.6, 0.85), side_share=0.0),
     "apartments": Kind(2.95, (2.7, 3.7), (0.4, 0.6), (1.35, 1.7), (0.8, 0.95),
                        balcony_share=0.4, door_m=(1.7, 2.3)),
@@ -91,5 +93,3 @@ class Massing:
         if not 0 <= self.front < len(ring):
             raise ValueError(f"Massing: front is wall {self.front}, the footprint has {len(ring)}")
         object.__setattr__(self, "footprint", ring)
-
-

@@ -25,7 +25,8 @@ SMOOTHING_PX = 0.7  # standard deviation
 TEXTURE_MIN = 2.0  # grey levels per pixel
 UNCLIPPED = (8.0, 247.0)  # grey levels: outside, gain and offset do not hold
 TUKEY = 4.685  # × standard deviation of the residual: 95 % efficiency on Gaussian noise
-NUM_ITERATIONS = 10
+NUM_ITERATIONS_MAX = 20
+CONVERGED_PX = 1e-4
 
 
 @dataclass(frozen=True)
@@ -82,16 +83,19 @@ def estimate_shift(
 
 def _fit(value: Array, gradient: Array, right: _Grey, end: Array) -> tuple[Array, float]:
     shift, gain, offset = np.zeros(2), 1.0, 0.0
-    for _ in range(NUM_ITERATIONS):
+    for _ in range(NUM_ITERATIONS_MAX):
         observed = right.value(end + shift)
         slope = (right.gradient(end + shift) + gain * gradient) / 2
         residual = observed - gain * value - offset
-        sigma = 1.4826 * np.median(np.abs(residual - np.median(residual))) + 1e-6
-        weight = np.clip(1 - ((residual - np.median(residual)) / (TUKEY * sigma)) ** 2, 0, 1)
+        residual -= np.median(residual)
+        sigma = 1.4826 * np.median(np.abs(residual)) + 1e-6
+        weight = np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, 1) ** 2
         J = np.column_stack([-slope, value, np.ones_like(value)])
-        normal = J.T @ (J * weight[:, None] ** 2)
-        step = np.linalg.lstsq(normal, J.T @ (weight**2 * observed), rcond=None)[0]
-        shift, gain, offset = shift + step[:2], step[2], step[3]
+        normal = J.T @ (J * weight[:, None])
+        *step, gain, offset = np.linalg.pinv(normal) @ (J.T @ (weight * observed))
+        shift = shift + step
+        if np.hypot(*step) < CONVERGED_PX:
+            break
     covariance = sigma**2 * np.linalg.pinv(normal)
     return shift, float(np.sqrt(covariance.diagonal()[:2].max()))
 

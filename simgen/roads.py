@@ -29,7 +29,7 @@ AHEAD_M = 520.0
 SIDE_M = 170.0
 MEDIAN_M = 3.0
 KERB_M = 0.13
-LAND_MARGIN_M = 420.0
+LAND_MARGIN_M = 520.0
 
 SURFACES = ("road", "sidewalk", "terrain")
 

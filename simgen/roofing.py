@@ -1,4 +1,4 @@
-"""What stands on the walls: flat roofs with parapets, pitched roofs with all that goes with them."""
+"""What stands on the walls: flat roofs behind parapets, pitched roofs and all that is on them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from simgen.facades import BELOW_GROUND_M, Color, Style, Wall, wall_sheeted
 from simgen.massing import Massing
 from simgen.mesh import Model, Part, part, tube
-from simgen.roofs import RoofSurface, convex_pieces
+from simgen.roofs import RoofSurface, convex_pieces, roof_surface
 from simgen.schema import LABELS
 from simgen.solids import (
     WORLD,
@@ -16,9 +16,11 @@ from simgen.solids import (
     band,
     boxes,
     curtain,
+    inset,
     offset_ring,
     painted,
     pipe,
+    raised,
     rectangles,
     sheeted,
     slabs,
@@ -32,26 +34,25 @@ _LEAD: Color = (0.16, 0.165, 0.17)
 _CLAY: Color = (0.28, 0.11, 0.06)
 
 
-# ---- flat roofs -------------------------------------------------------------------------------
-
-
-def _flat_roof(
-    massing: Massing, parapet: float, style: Style, rng: np.random.Generator, lod: int
+def flat_roof(
+    massing: Massing, parapet_m: float, style: Style, *, rng: np.random.Generator, lod: int
 ) -> Model:
-    """Roofing felt behind a parapet, with coping, cornice, plant and hatches."""
+    """Roofing felt behind a parapet, with coping, a cornice and plant; from afar only felt."""
     ring, z = massing.footprint, massing.base_z + massing.wall_height
     felt = np.array(_BITUMEN[rng.integers(len(_BITUMEN))])
-    top = z + parapet
+    top = z + parapet_m
+    if lod == 2:
+        return [_deck(piece, top, felt) for piece in convex_pieces(ring)]
     inner = [np.insert(offset_ring(ring, -0.25), 2, h, axis=1) for h in (top, z)]
     mouldings = [band(ring, 0.05, -0.28, top, top + 0.07)]
-    if lod < 2 and rng.random() < 0.6:
+    if rng.random() < 0.6:
         mouldings.append(band(ring, rng.uniform(0.08, 0.25), -0.02, z - 0.15, z + 0.12))
-    model = [
+    return [
         *(_deck(piece, z, felt) for piece in convex_pieces(ring)),
         painted(WORLD, curtain(*inner), 1.5 * felt),
         painted(WORLD, np.concatenate(mouldings), style.trim),
+        *_plant(ring, z, rng),
     ]
-    return model if lod == 2 else model + _plant(ring, z, rng)
 
 
 def _deck(polygon: Array, z: float, color: Array) -> Part:
@@ -66,20 +67,21 @@ def _fan(corners: int) -> NDArray[np.int64]:
 
 
 def _plant(ring: Array, z: float, rng: np.random.Generator) -> Model:
-    """Air handlers, a stair head and ducts, well inside the parapet."""
-    centre, radius = ring.mean(axis=0), 0.5 * np.abs(ring - ring.mean(axis=0)).min(axis=0).max()
-    count = rng.integers(1, 5)
+    """A stair head and air handlers, well inside the parapet."""
+    centre = ring.mean(axis=0)
+    radius = 0.5 * float(_clearance(ring, centre[None])[0])
+    count = rng.integers(1, 5) if radius > 0.5 else 0
     size = rng.uniform((0.8, 0.8, 0.7), (2.4, 2.0, 1.6), (count, 3))
-    size[0] = rng.uniform((2.5, 2.5, 2.2), (4.0, 3.5, 2.8))  # the stair head
+    size[:1] = rng.uniform((2.5, 2.5, 2.2), (4.0, 3.5, 2.8))  # the stair head
     size[:, :2] = np.minimum(size[:, :2], radius)
     at = rng.uniform(-radius, radius, (count, 2))
     lo = np.column_stack([at - size[:, :2] / 2, np.zeros(count)])
-    frame = upright_plan(ring, centre, z)
+    frame = _plan_frame(ring, centre, z)
     color = rng.uniform(0.15, 0.5, (count, 1)) * np.ones(3)
     return [painted(frame, boxes(lo, lo + size, "xXyYZ"), color)]
 
 
-def upright_plan(ring: Array, centre: Array, z: float) -> Frame:
+def _plan_frame(ring: Array, centre: Array, z: float) -> Frame:
     """A frame with z up whose x runs along the first wall."""
     x = (ring[1] - ring[0]) / np.linalg.norm(ring[1] - ring[0])
     axes = np.array([[x[0], x[1], 0.0], [-x[1], x[0], 0.0], [0.0, 0.0, 1.0]])
@@ -89,28 +91,26 @@ def upright_plan(ring: Array, centre: Array, z: float) -> Frame:
 # ---- pitched roofs ----------------------------------------------------------------------------
 
 
-def _pitched_roof(
-    massing: Massing,
-    roof: RoofSurface,
-    sides: list[Wall],
-    style: Style,
-    rng: np.random.Generator,
-    lod: int,
+def pitched_roof(
+    massing: Massing, sides: list[Wall], style: Style, *, rng: np.random.Generator, lod: int
 ) -> Model:
     """Gables, the roof itself, and at close range its edges, ridges, gutters and openings."""
+    roof = roof_surface(massing.footprint, massing.roof, massing.roof_height, massing.ridge_rad)
     eaves_z = massing.base_z + massing.wall_height
     overhang = rng.uniform(0.15, 0.25) if massing.kind == "terrace" else rng.uniform(0.25, 0.55)
     ring = offset_ring(massing.footprint, overhang)
     u, v = (float(o) for o in rng.uniform(0, 32, 2))
+    top_z = eaves_z + (0.5 * _SLAB_M if lod < 2 else 0.01)  # far roofs have no edge to hide a gap
     model = [_gable(wall, roof, style) for wall in sides]
-    model += _covering(roof, roof.faces(ring), eaves_z + 0.5 * _SLAB_M, (u, v))
+    model += _covering(roof, ring, top_z, (u, v), metal=massing.roof == "skillion")
     if lod < 2:
+        model += [p for wall in sides for p in _attic_window(wall, roof, style)]
         model += _chimneys(massing, roof, style, rng)
         model += _edges(roof.outline(ring), eaves_z, style)
     if lod == 0:
-        model += [_ridge(line + (0, 0, eaves_z + 0.5 * _SLAB_M), u) for line in roof.ridges(ring)]
+        model += [_ridge(raised(line, top_z), u) for line in roof.ridges(ring)]
         model += _gutters(roof.outline(ring), massing, eaves_z, style, overhang)
-        model += _roof_openings(massing, roof, eaves_z + 0.5 * _SLAB_M, style, rng)
+        model += _roof_openings(massing, roof, top_z, rng)
     return model
 
 
@@ -125,24 +125,41 @@ def _gable(wall: Wall, roof: RoofSurface, style: Style) -> Part:
     return wall_sheeted(wall, style, quads[(h[:-1] > 1e-3) | (h[1:] > 1e-3)])
 
 
+def _attic_window(wall: Wall, roof: RoofSurface, style: Style) -> Model:
+    """A small window where the gable is high enough for one."""
+    middle = wall.frame.origin[:2] + 0.5 * wall.length_m * wall.frame.axes[0, :2]
+    if roof.height(middle) < 1.5 or wall.length_m < 4:
+        return []
+    x, y = wall.length_m / 2, wall.floors[-1]
+    rect = np.array([x - 0.35, y + 0.1, x + 0.35, y + 0.9])
+    return [
+        painted(wall.frame, slabs(rect, 0.0, 0.02), style.frame),
+        painted(wall.frame, rectangles(inset(rect, 0.07), 0.03), (0.025, 0.03, 0.035), "glass"),
+    ]
+
+
 def _covering(
-    roof: RoofSurface, faces: list[list[Array]], z: float, uv_offset: tuple[float, float]
+    roof: RoofSurface, ring: Array, z: float, uv_offset: tuple[float, float], metal: bool
 ) -> Model:
-    """The upper side of the roof, tiles in rows along the eaves."""
+    """The upper side of the roof: sheet metal, or tiles in rows along the eaves."""
     model = []
-    for k, polygons in enumerate(faces):
+    for k, polygons in enumerate(roof.faces(ring)):
         frame = roof.frame(k, z)
         for polygon in polygons:
             vertices = np.column_stack([polygon, roof.height(polygon) + z])
             uv = ((vertices - frame.origin) @ frame.axes.T)[:, :2] + uv_offset
-            model.append(part(vertices, _fan(len(polygon)), "roof", LABELS["building"], uv=uv))
+            mesh = (vertices, _fan(len(polygon)))
+            if metal:
+                model.append(part(*mesh, "metal", LABELS["building"], color=_LEAD))
+            else:
+                model.append(part(*mesh, "roof", LABELS["building"], uv=uv))
     return model
 
 
 def _edges(outline: Array, eaves_z: float, style: Style) -> Model:
     """Fascia and barge boards around the roof, and the boarding under its overhang."""
-    top = outline + (0, 0, eaves_z + 0.5 * _SLAB_M)
-    bottom = top - (0, 0, _SLAB_M)
+    top = raised(outline, eaves_z + 0.5 * _SLAB_M)
+    bottom = raised(top, -_SLAB_M)
     inner = bottom.copy()
     inner[:, :2] = offset_ring(outline[:, :2], -0.6)
     return [
@@ -153,7 +170,7 @@ def _edges(outline: Array, eaves_z: float, style: Style) -> Model:
 
 def _ridge(line: Array, u: float) -> Part:
     """Ridge tiles along a line (2, 3)."""
-    vertices, faces = tube(line + (0, 0, 0.02), 0.1, sides=6, caps=False)
+    vertices, faces = tube(raised(line, 0.02), 0.1, sides=6, caps=False)
     along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
     v = np.tile(np.arange(6) * 0.1, 2)
     uv = np.column_stack([v + u, (vertices - line[0]) @ along])
@@ -173,18 +190,16 @@ def _gutters(
             continue
         along = (b - a) / np.linalg.norm(b - a)
         out = np.array([along[1], -along[0], 0.0])
-        path = np.array([a, b]) + 0.07 * out + (0, 0, eaves_z - 0.02)
+        path = raised(np.array([a, b]) + 0.07 * out, eaves_z - 0.02)
         model.append(pipe(path, 0.065, color))
         start = path[0] + (overhang + 0.25) * along
-        wall = start - (overhang + 0.07 - 0.07) * out - (0, 0, overhang + 0.2)
+        wall = raised(start - overhang * out, -overhang - 0.2)
         foot = np.array([*wall[:2], massing.base_z - BELOW_GROUND_M])
-        model.append(pipe(np.array([start, start - (0, 0, 0.12), wall, foot]), 0.045, color))
+        model.append(pipe(np.array([start, raised(start, -0.12), wall, foot]), 0.045, color))
     return model
 
 
-def _chimneys(
-    massing: Massing, roof: RoofSurface, style: Style, rng: np.random.Generator
-) -> Model:
+def _chimneys(massing: Massing, roof: RoofSurface, style: Style, rng: np.random.Generator) -> Model:
     """Stacks near the ridge, with a cap and pots, on dwellings."""
     if massing.kind not in ("house", "terrace") or rng.random() < 0.25:
         return []
@@ -193,7 +208,7 @@ def _chimneys(
     reach = 0.3 * np.ptp(ring @ along)
     at = ring.mean(axis=0) + along * rng.uniform(-reach, reach)
     eaves_z = massing.base_z + massing.wall_height
-    frame = upright_plan(ring, at, eaves_z)
+    frame = _plan_frame(ring, at, eaves_z)
     top = massing.roof_height + rng.uniform(0.7, 1.2)
     low = float(roof.height(at)) - 1.5
     half = np.array([rng.uniform(0.3, 0.55), rng.uniform(0.22, 0.32)])
@@ -212,7 +227,7 @@ def _chimneys(
 
 
 def _roof_openings(
-    massing: Massing, roof: RoofSurface, z: float, style: Style, rng: np.random.Generator
+    massing: Massing, roof: RoofSurface, z: float, rng: np.random.Generator
 ) -> Model:
     """Roof windows on some of the slopes of dwellings."""
     if massing.kind not in ("house", "terrace", "apartments"):
@@ -222,23 +237,23 @@ def _roof_openings(
         frame = roof.frame(k, z)
         for polygon in polygons:
             at = rng.uniform(polygon.min(axis=0), polygon.max(axis=0), (rng.integers(0, 3), 2))
-            for xy in at[_inside(polygon, at, margin=1.0)][:1]:
+            for xy in at[_clearance(polygon, at) > 1.0][:1]:
                 local = (np.array([*xy, roof.height(xy) + z]) - frame.origin) @ frame.axes.T
-                model += _roof_window(frame, local[:2], style)
+                model += _roof_window(frame, local[:2])
     return model
 
 
-def _roof_window(frame: Frame, at: Array, style: Style) -> Model:
-    rect = np.array([[*(at - (0.39, 0.59)), *(at + (0.39, 0.59))]])
-    pane = rect + np.array([0.07, 0.07, -0.07, -0.07])
+def _roof_window(frame: Frame, at: Array) -> Model:
+    half = np.array([0.39, 0.59])
+    rect = np.concatenate([at - half, at + half])
     return [
         painted(frame, slabs(rect, 0.0, 0.09), _LEAD),
-        painted(frame, rectangles(pane, 0.1), (0.03, 0.035, 0.04), "glass"),
+        painted(frame, rectangles(inset(rect, 0.07), 0.1), (0.03, 0.035, 0.04), "glass"),
     ]
 
 
-def _inside(polygon: Array, points: Array, margin: float) -> NDArray[np.bool_]:
-    """Which points (M, 2) are at least ``margin`` inside a convex counter-clockwise polygon."""
+def _clearance(polygon: Array, points: Array) -> Array:
+    """How far points (M, 2) are inside the lines through a polygon's sides; negative outside."""
     edge = np.roll(polygon, -1, axis=0) - polygon
     inward = np.stack([-edge[:, 1], edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
-    return (((points[:, None] - polygon) * inward).sum(axis=2) > margin).all(axis=1)
+    return np.asarray(((points[:, None] - polygon) * inward).sum(axis=2).min(axis=1))

@@ -113,10 +113,12 @@ def roof_surface(ring: Array, form: RoofForm, height: float, ridge_rad: float) -
         "flat": lambda: [np.zeros(3)],
         "skillion": lambda: [rising(along, mid_r, half_r, 2 * half_r)],
         "gabled": lambda: pair(across, mid_s, half_s, half_s),
-        "hipped": lambda: pair(across, mid_s, half_s, half_s)
-        + pair(along, mid_r, half_r, min(half_r, half_s)),
-        "pyramidal": lambda: pair(across, mid_s, half_s, half_s)
-        + pair(along, mid_r, half_r, half_r),
+        "hipped": lambda: (
+            pair(across, mid_s, half_s, half_s) + pair(along, mid_r, half_r, min(half_r, half_s))
+        ),
+        "pyramidal": lambda: (
+            pair(across, mid_s, half_s, half_s) + pair(along, mid_r, half_r, half_r)
+        ),
     }
     if form not in planes:
         raise ValueError(f"roof form {form!r} is unknown; choose from {sorted(planes)}")
@@ -161,7 +163,9 @@ def _clipped(polygon: Array, plane: Array) -> Array:
         if here <= 1e-9:
             points.append(polygon[i])
         if (here < -1e-9 and ahead > 1e-9) or (here > 1e-9 and ahead < -1e-9):
-            points.append(polygon[i] + here / (here - ahead) * (polygon[(i + 1) % len(value)] - polygon[i]))
+            points.append(
+                polygon[i] + here / (here - ahead) * (polygon[(i + 1) % len(value)] - polygon[i])
+            )
     return np.array(points) if len(points) > 2 else np.zeros((0, 2))
 
 

@@ -82,7 +82,7 @@ def filtered(sheet: Sheet, factor: int) -> Sheet:
 
 def _bytes(linear: ArrayLike) -> NDArray[np.float64]:
     """Linear albedo (…, 3) to sRGB 0..255."""
-    return 255 * srgb_from_linear(np.asarray(linear, dtype=np.float64))
+    return (255 * srgb_from_linear(np.asarray(linear, dtype=np.float64))).astype(np.float64)
 
 
 class _Canvas:
@@ -97,7 +97,7 @@ class _Canvas:
     def grain(self) -> Field:
         """White noise in −1..1, a value per pixel."""
         raw = np.frombuffer(self.rng.bytes(self.size**2), np.uint8).reshape(self.size, self.size)
-        return cv2.addWeighted(raw, 2 / 255, raw, 0, -1, dtype=cv2.CV_32F)
+        return np.asarray(cv2.addWeighted(raw, 2 / 255, raw, 0, -1, dtype=cv2.CV_32F), np.float32)
 
     def noise(self, wave_m: float | tuple[float, float], octaves: int = 3) -> Field:
         """Smooth noise with unit variance, or so; ``wave_m``: the coarsest lattice, (u, v) [m].
@@ -139,12 +139,14 @@ class _Canvas:
             path = np.stack([x, y], axis=-1) + (np.array(shift) - 1) * self.size
             cv2.polylines(mask, list(np.rint(path * 8).astype(np.int32)), False, 255, width_px,
                           cv2.LINE_AA, shift=3)  # fmt: skip
-        return mask.astype(np.float32) / 255
+        return np.float32(1 / 255) * mask.astype(np.float32)
 
-    def sheet(self, base: Sequence[ArrayLike], shade: Field, layers: Sequence[Layer]) -> Sheet:
+    def sheet(
+        self, base: Sequence[Field] | NDArray[np.float64], shade: Field, layers: Sequence[Layer]
+    ) -> Sheet:
         """Paints layers over base × shade; ``base`` is three fields or numbers, R, G, B."""
         image = np.empty((self.size, self.size, 3), np.uint8)
-        fields = [np.broadcast_to(np.float32(b), shade.shape) for b in base]
+        fields = [np.broadcast_to(np.asarray(b, np.float32), shade.shape) for b in base]
         colors = [np.asarray(color, np.float32) for _, color in layers]
         for start in range(0, self.size, 64):  # strips stay in the cache: three times as fast
             rows = slice(start, start + 64)
@@ -169,7 +171,7 @@ def _enlarged(lattice: Field, hw: tuple[int, int]) -> Field:
         return _enlarged(_enlarged(lattice, middle), hw)
     margin = cv2.copyMakeBorder(lattice, 2, 2, 2, 2, cv2.BORDER_WRAP)
     wh = (margin.shape[1] * sx, margin.shape[0] * sy)
-    fine = cv2.resize(margin, wh, interpolation=cv2.INTER_CUBIC)
+    fine = np.asarray(cv2.resize(margin, wh, interpolation=cv2.INTER_CUBIC), np.float32)
     return fine[2 * sy : -2 * sy, 2 * sx : -2 * sx]
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from simgen.facades import SHOPS, WHITE, Wall
 from simgen.mesh import Model
-from simgen.solids import Frame, painted, rectangles, slabs
+from simgen.solids import Frame, inset, painted, rectangles, slabs
 
 Array = NDArray[np.float64]
 
 
-def _shop_boards(
-    wall: Wall, rects: Array, *, letters: bool, rng: np.random.Generator
-) -> Model:
+def shop_boards(wall: Wall, rects: Array, *, letters: bool, rng: np.random.Generator) -> Model:
     """Fascia boards over runs of one to three shop windows, with lettering and awnings."""
     if len(rects) < 2 or rects[:, 3].max() < 2.6:
         return []
@@ -22,7 +22,7 @@ def _shop_boards(
     head = float(rects[:, 3].max())
     model, start = [], 0
     while start < len(rects):
-        end = min(start + rng.integers(1, 4), len(rects))
+        end = min(start + int(rng.integers(1, 4)), len(rects))
         span = (float(rects[start, 0]) - 0.12, float(rects[end - 1, 2]) + 0.12)
         color = np.array(SHOPS[rng.integers(len(SHOPS))])
         board = np.array([[span[0], head + 0.12, span[1], head + 0.72]])
@@ -35,9 +35,7 @@ def _shop_boards(
     return model
 
 
-def _lettering(
-    frame: Frame, board: Array, background: Array, rng: np.random.Generator
-) -> Model:
+def _lettering(frame: Frame, board: Array, background: Array, rng: np.random.Generator) -> Model:
     """Strokes on a 3 × 3 grid that look like letters from across the street."""
     height = rng.uniform(0.22, 0.34)
     pitch = height * 0.85
@@ -45,7 +43,7 @@ def _lettering(
     left = (board[0] + board[2] - count * pitch) / 2 + np.arange(count) * pitch
     base, bar, width = (board[1] + board[3] - height) / 2, 0.17 * height, 0.62 * height
     strokes = []
-    drawn = (rng.random((count, 5)) < 0.62).tolist()
+    drawn = (rng.random((count, 5)) < (0.95, 0.4, 0.6, 0.6, 0.6)).tolist()
     for x, (stem, end, top, middle, low) in zip(left, drawn, strict=True):
         strokes += [(x, base, x + bar, base + height)] * (stem or not end)
         strokes += [(x + width - bar, base, x + width, base + height)] * end
@@ -67,25 +65,23 @@ def _awning(
     profile = [(y, 0.03), (y - drop, reach), (y - drop - 0.2, reach + 0.005)]  # (height, out)
     strips = [
         np.array([[(a, y1, z1), (b, y1, z1), (b, y0, z0), (a, y0, z0)]
-                  for a, b in zip(x[:-1], x[1:], strict=True)])
-        for (y0, z0), (y1, z1) in zip(profile[:-1], profile[1:], strict=True)
+                  for a, b in pairwise(x)])
+        for (y0, z0), (y1, z1) in pairwise(profile)
     ]  # fmt: skip
     stripe = np.where(np.arange(count)[:, None] % 2, color, np.array(WHITE))
     cloth = np.stack(strips, axis=1).reshape(-1, 4, 3)
     return [painted(frame, cloth, stripe)]
 
 
-def _displays(frame: Frame, shops: Array, depth: float, rng: np.random.Generator) -> Model:
+def displays(frame: Frame, shops: Array, depth: float, rng: np.random.Generator) -> Model:
     """Posters and goods in shop windows."""
     if not len(shops):
         return []
     each = rng.integers(1, 4, len(shops))
-    box = np.repeat(_inset(shops, 0.1), each, axis=0)
+    box = np.repeat(inset(shops, 0.1), each, axis=0)
     size = box[:, 2:] - box[:, :2]
     span = size * rng.uniform((0.1, 0.15), (0.35, 0.45), size.shape)
     low = box[:, :2] + (size - span) * rng.random(size.shape) * (1.0, 0.5)
-    color = rng.uniform(0.02, 0.6, (len(box), 3))
+    color = rng.uniform(0.03, 0.5, (len(box), 1)) * rng.uniform(0.6, 1.2, (len(box), 3))
     depths = depth + 0.005 * (np.arange(len(box)) % 3)  # never two of a window in one plane
     return [painted(frame, rectangles(np.hstack([low, low + span]), depths), color)]
-
-

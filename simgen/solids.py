@@ -57,6 +57,16 @@ def rectangles(rects: ArrayLike, depth: ArrayLike) -> Array:
     return np.concatenate([xy, np.broadcast_to(z[:, None, None], (len(r), 4, 1))], axis=2)
 
 
+def inset(rects: Array, by: float) -> Array:
+    """Rectangles (…, 4) made smaller on all four sides."""
+    return rects + np.array([by, by, -by, -by])
+
+
+def raised(points: Array, by: float) -> Array:
+    """Points (…, 3) moved along z."""
+    return points + np.array([0.0, 0.0, by])
+
+
 def boxes(lo: ArrayLike, hi: ArrayLike, sides: str = "xXyYzZ") -> Array:
     """Outsides of the boxes between corners (M, 3); quads of one box follow each other."""
     low, high = np.broadcast_arrays(*(np.asarray(c, np.float64).reshape(-1, 3) for c in (lo, hi)))
@@ -93,7 +103,7 @@ def pipe(points: Array, radius: float, color: ArrayLike) -> Part:
 
 def sheeted(frame: Frame, quads: Array, material: str, uv_offset: ArrayLike) -> Part:
     """A part of building with metres on the surface as uv: local (x, y) on sides that face z."""
-    normal = np.abs(np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]))
+    normal = np.abs(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]))
     axes = np.array([[2, 1], [0, 2], [0, 1]])[np.argmax(normal, axis=1)]  # (Q, 2)
     uv = np.take_along_axis(quads, axes[:, None, :], axis=2) + np.asarray(uv_offset)
     return part(*_mesh(frame, quads), material, LABELS["building"], uv=uv)
@@ -124,6 +134,4 @@ def band(ring: Array, outer: float, inner: float, z0: float, z1: float) -> Array
 
 def curtain(bottom: Array, top: Array) -> Array:
     """Quads between two closed loops (N, 3), facing outwards where ``top`` is above."""
-    return np.stack(
-        [bottom, np.roll(bottom, -1, axis=0), np.roll(top, -1, axis=0), top], axis=1
-    )
+    return np.stack([bottom, np.roll(bottom, -1, axis=0), np.roll(top, -1, axis=0), top], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from simgen import schema
 from simgen.errors import UserError
-from simgen.validate import Finding, Report, check_frame, validate_folder
+from simgen.findings import CHECKS, Finding, Report
+from simgen.validate import _check_angles, _Facts, check_frame, validate_folder
 
 Frame = dict[str, Any]
 PAIRS = np.array([[0, 1], [1, 2], [0, 2]], np.uint8)
+PHOTOMETRIC = {"photometric_shift", "photometric_match"}
+SET_CHECKS = {"readable", "sha256", "attributes", "frames", "splits", "perturbation_uniform"}
 R_WORLD_FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera looking along world x
 
 
@@ -54,9 +58,9 @@ def texture(st: np.ndarray, seed: int) -> np.ndarray:
     """A smooth albedo: sines of several wavelengths, directions and phases."""
     rng = np.random.default_rng(seed)
     value = np.full(len(st), 0.5)
-    for wavelength in np.geomspace(0.25, 3.0, 12):
+    for wavelength in np.geomspace(0.25, 3.0, 8):
         angle, phase = rng.uniform(0, 2 * np.pi, 2)
-        value += 0.08 * np.sin(st @ [np.cos(angle), np.sin(angle)] * 2 * np.pi / wavelength + phase)
+        value += 0.1 * np.sin(st @ [np.cos(angle), np.sin(angle)] * 2 * np.pi / wavelength + phase)
     return value
 
 
@@ -81,50 +85,57 @@ def pixels(hw: tuple[int, int], du: float = 0.0, dv: float = 0.0) -> np.ndarray:
     return np.column_stack([u.ravel() + du, v.ravel() + dv])
 
 
-def photograph(K: np.ndarray, T: np.ndarray, hw: tuple[int, int], du: float = 0.0,
-               dv: float = 0.0) -> np.ndarray:  # fmt: skip
+def photograph(frame: Frame, camera: int, du: float = 0.0, dv: float = 0.0) -> np.ndarray:
     """An image (H, W, 3), averaged over each pixel; (du, dv) moves the pixel centres."""
-    offsets = (np.arange(4) + 0.5) / 4 - 0.5
-    total = sum(
+    K, T, hw = frame["K"][camera], frame["T_world_cam"][camera], frame["depth"].shape[1:]
+    thirds = (-1 / 3, 0, 1 / 3)
+    samples = [
         trace(T[:3, 3], rays_of(K, T, pixels(hw, du + a, dv + b)))[2]
-        for a in offsets
-        for b in offsets
-    )
-    grey = (total / 16 * 255).clip(0, 255).round().astype(np.uint8)
+        for a, b in itertools.product(thirds, thirds)
+    ]
+    grey = (np.mean(samples, axis=0) * 255).clip(0, 255).round().astype(np.uint8)
     return np.repeat(grey.reshape(*hw, 1), 3, axis=2)
 
 
-def flow_and_status(frame: Frame, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-    """Flow (H, W, 2) and status (H, W) of camera a's pixels in camera b, by tracing."""
-    hw = frame["depth"].shape[1:]
-    K, T, uv = frame["K"], frame["T_world_cam"], pixels(hw)
-    rays = rays_of(K[a], T[a], uv)
-    depth = frame["depth"][a].ravel().astype(np.float64)
-    to_point = np.where(
-        depth[:, None] > 0, T[a, :3, 3] + depth[:, None] * rays - T[b, :3, 3], rays
-    )
-    uvw = to_point @ T[b, :3, :3] @ K[b].T
-    end = uvw[:, :2] / uvw[:, 2:]
-    reach = np.where(depth > 0, 1 - 1e-6, np.inf)
-    blocked = trace(T[b, :3, 3], to_point)[0] < reach
-    inside = ((end >= -0.5) & (end < np.array(hw[::-1]) - 0.5)).all(axis=1) & (uvw[:, 2] > 0)
-    status = np.select([~inside, blocked], [schema.OUT_OF_FRAME, schema.OCCLUDED], schema.VISIBLE)
-    status = status + schema.AT_INFINITY * (depth == 0)
-    return (end - uv).reshape(*hw, 2).astype(np.float32), status.reshape(hw).astype(np.uint8)
+def ends(frame: Frame, a: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vectors from camera b to what camera a sees, their pixels (N, 2) and z in b (N,)."""
+    rays = rays_of(frame["K"][a], frame["T_world_cam"][a], pixels(frame["depth"].shape[1:]))
+    depth = frame["depth"][a].reshape(-1, 1).astype(np.float64)
+    T_a, T_b = frame["T_world_cam"][a], frame["T_world_cam"][b]
+    to_point = np.where(depth > 0, T_a[:3, 3] + depth * rays - T_b[:3, 3], rays)
+    uvw = to_point @ T_b[:3, :3] @ frame["K"][b].T
+    return to_point, uvw[:, :2] / uvw[:, 2:], uvw[:, 2]
 
 
 def add_flow(frame: Frame) -> Frame:
-    """Flow and status that belong to the frame's own depth, K and poses."""
-    forward = [flow_and_status(frame, a, b) for a, b in PAIRS]
-    frame["flow"] = np.stack([flow for flow, _ in forward])
-    frame["flow_status"] = np.stack([status for _, status in forward])
-    frame["flow_status_reverse"] = np.stack([flow_and_status(frame, b, a)[1] for a, b in PAIRS])
-    return frame
+    """Flow that belongs to the frame's own depth, K and poses, right or wrong."""
+    hw = frame["depth"].shape[1:]
+    flows = [ends(frame, a, b)[1] - pixels(hw) for a, b in PAIRS]
+    return frame | {"flow": np.stack(flows).reshape(-1, *hw, 2).astype(np.float32)}
 
 
-def make_frame(hw: tuple[int, int] = (180, 320), index: int = 1, seed: int = 5) -> Frame:
+def status_of(frame: Frame, a: int, b: int) -> np.ndarray:
+    """Status (H, W) of camera a's pixels in camera b, by tracing back from b."""
+    hw = frame["depth"].shape[1:]
+    to_point, end, z = ends(frame, a, b)
+    is_sky = frame["depth"][a].ravel() == 0
+    reach = np.where(is_sky, np.inf, 1 - 1e-6)
+    blocked = trace(frame["T_world_cam"][b, :3, 3], to_point)[0] < reach
+    inside = ((end >= -0.5) & (end < np.array(hw[::-1]) - 0.5)).all(axis=1) & (z > 0)
+    status = np.select([~inside, blocked], [schema.OUT_OF_FRAME, schema.OCCLUDED], schema.VISIBLE)
+    return (status + schema.AT_INFINITY * is_sky).reshape(hw).astype(np.uint8)
+
+
+def add_status(frame: Frame) -> Frame:
+    return frame | {
+        "flow_status": np.stack([status_of(frame, a, b) for a, b in PAIRS]),
+        "flow_status_reverse": np.stack([status_of(frame, b, a) for a, b in PAIRS]),
+    }
+
+
+def make_frame(hw: tuple[int, int]) -> Frame:
     """Three turned cameras on a yawed rig, 0.8 m apart, 1.6 m above the road."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(5)
     f = hw[1] / 2
     K = np.array([[f, 0, (hw[1] - 1) / 2], [0, f, (hw[0] - 1) / 2], [0, 0, 1]])
     R_yaw = Rotation.from_euler("z", 6, degrees=True).as_matrix()
@@ -139,12 +150,11 @@ def make_frame(hw: tuple[int, int] = (180, 320), index: int = 1, seed: int = 5) 
         "T_world_cam": true,
         "T_world_cam_nominal": nominal,
         "perturbation_deg": drawn,
-        "frame_index": np.int64(index),
-        "scene_index": np.int64(index),
+        "frame_index": np.int64(1),
+        "scene_index": np.int64(1),
         "spec": {"rig": {"perturbation_deg": 1.0}, "daylight": {"name": "noon"}},
-        "image": np.stack([photograph(K, T, hw) for T in true]),
     }
-    return add_flow(add_surfaces(frame, hw))
+    return add_status(add_flow(add_images(add_surfaces(frame, hw))))
 
 
 def add_surfaces(frame: Frame, hw: tuple[int, int]) -> Frame:
@@ -159,3 +169,497 @@ def add_surfaces(frame: Frame, hw: tuple[int, int]) -> Frame:
     frame["semantic"] = labels[which]
     frame["instance"] = np.array([q.instance for q in SCENE] + [0], np.uint16)[which]
     return frame
+
+
+def add_images(frame: Frame) -> Frame:
+    return frame | {"image": np.stack([photograph(frame, c) for c in range(3)])}
+
+
+def copy(frame: Frame) -> Frame:
+    return {k: v.copy() if isinstance(v, np.ndarray) else v for k, v in frame.items()}
+
+
+def failed(frame: Frame, *, thorough: bool = False) -> set[str]:
+    """Names of the checks that a frame fails."""
+    return {f.check for f in check(frame, thorough=thorough) if not f.passed}
+
+
+def check(frame: Frame, *, thorough: bool) -> list[Finding]:
+    return check_frame(frame, PAIRS[: len(frame["flow_status"])], thorough=thorough)
+
+
+def worst(frame: Frame) -> dict[str, float]:
+    return {n: w[0] for n, w in Report(tuple(check(frame, thorough=True))).worst.items()}
+
+
+@pytest.fixture(scope="module")
+def clean() -> Frame:
+    return make_frame((90, 160))
+
+
+@pytest.fixture(scope="module")
+def clean_pair() -> Frame:
+    """Wide enough for the strict limit on photometry; only cameras 0 and 1 are compared."""
+    frame = make_frame((120, 320))
+    return frame | {n: frame[n][:1] for n in ("flow", "flow_status", "flow_status_reverse")}
+
+
+@pytest.fixture
+def pair(clean_pair: Frame) -> Frame:
+    return copy(clean_pair)
+
+
+@pytest.fixture
+def frame(clean: Frame) -> Frame:
+    """A copy to spoil."""
+    return copy(clean)
+
+
+# --- a correct frame ----------------------------------------------------------------------------
+
+
+def test_a_correct_frame_passes_every_check(clean: Frame) -> None:
+    findings = check(clean, thorough=True)
+    assert [f for f in findings if not f.passed or not f.applies] == []
+    assert {f.check for f in findings} == set(CHECKS) - SET_CHECKS
+
+
+def test_a_correct_frame_stays_far_below_the_limits(clean: Frame, clean_pair: Frame) -> None:
+    values = worst(clean)
+    assert values["flow"] < 1e-5
+    assert values["cycle"] < 1e-4
+    assert values["vertical_flow"] < 1e-5
+    assert worst(clean_pair)["photometric_shift"] < 5e-3
+
+
+def test_the_quick_check_looks_at_a_grid_and_leaves_photometry_out(clean: Frame) -> None:
+    quick = check(clean, thorough=False)
+    assert all(f.passed for f in quick)
+    assert {f.check for f in quick} == set(CHECKS) - SET_CHECKS - PHOTOMETRIC
+
+
+def test_image_noise_does_not_bias_the_shift(pair: Frame) -> None:
+    noise = np.random.default_rng(0).normal(0, 4, pair["image"].shape)
+    pair["image"] = (pair["image"] + noise).clip(0, 255).astype(np.uint8)
+    assert worst(pair)["photometric_shift"] < 0.01
+
+
+def test_exposure_of_each_camera_is_free(pair: Frame) -> None:
+    gain = np.array([0.8, 0.6, 0.95]).reshape(3, 1, 1, 1)
+    pair["image"] = (pair["image"] * gain + 5).astype(np.uint8)
+    assert worst(pair)["photometric_shift"] < 0.01
+
+
+def test_flow_may_be_left_out(frame: Frame) -> None:
+    del frame["flow"]
+    findings = check(frame, thorough=False)
+    assert all(f.passed for f in findings)
+    assert {f.check for f in findings if not f.applies} == {"flow", "vertical_flow"}
+
+
+def test_night_is_exempt_from_photometry_and_says_so(frame: Frame) -> None:
+    frame["spec"] = frame["spec"] | {"daylight": {"name": "night"}}
+    exempt = {f.check: f.detail for f in check(frame, thorough=True) if not f.applies}
+    assert exempt == dict.fromkeys(PHOTOMETRIC, "not applicable: night")
+
+
+def test_images_without_texture_are_exempt_from_photometry_and_say_so(frame: Frame) -> None:
+    frame["image"][:] = 128
+    exempt = {f.check: f.detail for f in check(frame, thorough=True) if not f.applies}
+    reason = "not applicable: 0 textured pixels, 500 needed"
+    assert exempt == dict.fromkeys(PHOTOMETRIC, reason)
+
+
+# --- one corruption each ------------------------------------------------------------------------
+
+
+def test_flow_of_the_wrong_sign_fails(frame: Frame) -> None:
+    frame["flow"] *= -1
+    assert "flow" in failed(frame)
+
+
+def test_flow_off_by_two_thousandths_of_a_pixel_fails(frame: Frame) -> None:
+    frame["flow"][1, ..., 1] += 0.002
+    assert failed(frame) == {"flow", "vertical_flow"}
+
+
+def test_sky_flow_that_is_not_the_homography_fails(frame: Frame) -> None:
+    frame["flow"][0][frame["depth"][0] == 0] += 0.01
+    assert "flow" in failed(frame)
+
+
+def test_half_a_pixel_in_one_principal_point_fails(pair: Frame) -> None:
+    pair["K"][1, 0, 2] += 0.5
+    assert "flow" in failed(pair)
+    assert "photometric_shift" in failed(pair | {"flow": add_flow(pair)["flow"][:1]}, thorough=True)
+
+
+def test_half_a_pixel_between_images_and_geometry_fails(pair: Frame) -> None:
+    """Ground truth at pixel corners: the same error in both cameras, seen on the road alone."""
+    for c in (0, 1):
+        pair["image"][c] = photograph(pair, c, 0.5, 0.5)
+    assert failed(pair, thorough=True) == {"photometric_shift"}
+
+
+def test_an_image_shift_is_measured_to_a_hundredth_of_a_pixel(pair: Frame) -> None:
+    pair["image"][1] = photograph(pair, 1, 0.16, -0.12)
+    assert failed(pair, thorough=True) == {"photometric_shift"}
+    assert worst(pair)["photometric_shift"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_images_of_another_place_fail(pair: Frame) -> None:
+    pair["image"][1] = pair["image"][1, ::-1, ::-1]
+    assert "photometric_match" in failed(pair, thorough=True)
+
+
+def test_depth_scaled_by_a_hundredth_fails(pair: Frame) -> None:
+    pair["depth"] *= np.float32(1.01)
+    assert "flow" in failed(pair)
+    consistent = pair | {"flow": add_flow(pair)["flow"][:1]}
+    assert "photometric_shift" in failed(consistent, thorough=True)
+
+
+def test_depth_of_one_camera_scaled_by_a_hundredth_breaks_the_cycle(frame: Frame) -> None:
+    frame["depth"][2] *= np.float32(1.01)
+    assert "cycle" in failed(add_flow(frame))
+
+
+def test_distance_instead_of_depth_fails(frame: Frame) -> None:
+    hw = frame["depth"].shape[1:]
+    length = np.linalg.norm(rays_of(frame["K"][0], np.eye(4), pixels(hw)), axis=1)
+    frame["depth"] *= length.reshape(hw).astype(np.float32)
+    assert "flow" in failed(frame)
+    assert "cycle" in failed(add_flow(frame))
+
+
+def turn(frame: Frame, camera: int, deg: float) -> Frame:
+    R = Rotation.from_euler("x", deg, degrees=True).as_matrix()
+    frame["T_world_cam"][camera, :3, :3] @= R
+    return frame
+
+
+def test_a_pose_turned_by_a_hundredth_of_a_degree_fails(frame: Frame) -> None:
+    assert {"pose", "flow", "vertical_flow"} <= failed(turn(frame, 1, 0.01))
+
+
+def test_images_rendered_with_another_pose_fail(pair: Frame) -> None:
+    """All numbers agree with each other; only the pixels know."""
+    pair["image"][1] = photograph(turn(copy(pair), 1, 0.05), 1)
+    assert failed(pair, thorough=True) == {"photometric_shift"}
+
+
+def test_a_moved_camera_fails(frame: Frame) -> None:
+    frame["T_world_cam"][0, 0, 3] += 1e-6
+    assert "pose" in failed(frame)
+
+
+def test_a_rotation_that_is_none_fails(frame: Frame) -> None:
+    frame["T_world_cam_nominal"][0, :3, 0] *= 1 + 1e-8
+    assert "rotation" in failed(frame)
+
+
+def test_a_reflection_is_no_rotation(frame: Frame) -> None:
+    frame["T_world_cam"][:, :3, 0] *= -1
+    assert "rotation" in failed(frame)
+
+
+def test_an_angle_beyond_the_rigs_maximum_fails(frame: Frame) -> None:
+    frame["spec"] = {"rig": {"perturbation_deg": 0.5}}
+    assert failed(frame) == {"perturbation_range"}
+
+
+def test_degrees_taken_for_radians_fail(frame: Frame) -> None:
+    frame["perturbation_deg"] = np.deg2rad(frame["perturbation_deg"])
+    assert failed(frame) == {"pose"}
+
+
+def test_swapped_status_fails(frame: Frame) -> None:
+    forward, backward = frame["flow_status"], frame["flow_status_reverse"]
+    frame["flow_status"], frame["flow_status_reverse"] = backward, forward
+    assert {"out_of_frame", "sky"} <= failed(frame)
+
+
+def test_two_visibility_bits_fail(frame: Frame) -> None:
+    frame["flow_status"][0, 45, 80] |= 7
+    assert "status_bits" in failed(frame)
+
+
+def test_an_unknown_status_bit_fails(frame: Frame) -> None:
+    frame["flow_status_reverse"][0, 45, 80] |= 32
+    assert failed(frame) == {"status_bits"}
+
+
+def swap_status(frame: Frame, old: int, new: int) -> Frame:
+    for name in ("flow_status", "flow_status_reverse"):
+        status = frame[name]
+        status[(status & old) != 0] ^= np.uint8(old | new)
+    return frame
+
+
+def test_occluded_pixels_called_visible_fail(frame: Frame) -> None:
+    """Where they are few beside the visible ones, only cameras 1.6 m apart show them."""
+    assert "visible_depth" in failed(swap_status(frame, schema.OCCLUDED, schema.VISIBLE))
+
+
+def test_visible_pixels_called_occluded_fail(frame: Frame) -> None:
+    assert "occluded_depth" in failed(swap_status(frame, schema.VISIBLE, schema.OCCLUDED))
+
+
+def test_in_frame_ends_on_the_outer_edge_of_the_last_pixel(frame: Frame) -> None:
+    """The convention is −½ ≤ u < W − ½; a status made with 0 ≤ u < W fails."""
+    hw = frame["depth"].shape[1:]
+    for p, (a, b) in enumerate(PAIRS):
+        end = ends(frame, a, b)[1].reshape(*hw, 2)
+        fresh = ((end >= -0.5) & (end < 0)).any(axis=-1) & (frame["flow_status"][p] & 4 == 0)
+        frame["flow_status"][p][fresh] = schema.OUT_OF_FRAME
+    assert "out_of_frame" in failed(frame, thorough=True)
+
+
+def test_sky_must_be_the_same_in_depth_label_and_status(frame: Frame) -> None:
+    frame["semantic"][0, 0, 0] = schema.LABELS["building"]
+    assert failed(frame) == {"sky"}
+
+
+def test_permuted_instances_fail(frame: Frame) -> None:
+    ids = frame["instance"][1]
+    frame["instance"][1] = np.where(ids == 7, 300, np.where(ids == 300, 7, ids))
+    assert failed(frame) == {"instance"}
+
+
+def test_labels_that_differ_between_cameras_fail(frame: Frame) -> None:
+    labels = frame["semantic"][2]
+    labels[labels == schema.LABELS["road"]] = schema.LABELS["sidewalk"]
+    assert failed(frame) == {"semantic"}
+
+
+@pytest.mark.parametrize("name", ["depth", "flow", "K", "T_world_cam", "perturbation_deg"])
+def test_a_nan_fails_and_ends_the_checks(frame: Frame, name: str) -> None:
+    frame[name].flat[-1] = np.nan
+    assert "finite" in failed(frame)
+    detail = next(f.detail for f in check(frame, thorough=True) if not f.passed)
+    assert detail == f"{name}: 1"
+
+
+def test_negative_depth_fails(frame: Frame) -> None:
+    frame["depth"][0, 0, 0] = -1
+    assert failed(frame) == {"finite"}
+
+
+def test_a_negative_focal_length_fails(frame: Frame) -> None:
+    frame["K"][0, 0, 0] *= -1
+    assert failed(frame) == {"intrinsics"}
+
+
+def test_wrong_type_and_shape_are_named(frame: Frame) -> None:
+    frame["depth"] = frame["depth"].astype(np.float64)
+    frame["K"] = frame["K"][:2]
+    del frame["instance"]
+    (finding,) = check(frame, thorough=True)
+    assert "'depth' is float64 (3, 90, 160), expected float32 (3, 90, 160)" in finding.detail
+    assert "'K' is float64 (2, 3, 3), expected float64 (3, 3, 3)" in finding.detail
+    assert "'instance' is missing" in finding.detail
+
+
+def test_pairs_must_name_cameras_that_exist(frame: Frame) -> None:
+    (finding,) = check_frame(frame, PAIRS + np.uint8(1), thorough=False)
+    assert "'pairs' is [[1, 2], [2, 3], [1, 3]], expected (left, right) below 3" in finding.detail
+
+
+# --- a set --------------------------------------------------------------------------------------
+
+
+ATTRIBUTES = {
+    "schema_version": schema.SCHEMA_VERSION,
+    "units": "metres, pixels, degrees",
+    "conventions": "OpenCV camera axes",
+    "dataset_seed": 0,
+    "config": json.dumps({"frames_per_scene": 1}),
+    "package_version": "0.1.0",
+}
+
+
+def write_shard(path: Path, frames: list[Frame], **attributes: Any) -> None:
+    with h5py.File(path, "w") as shard:
+        shard.attrs.update(ATTRIBUTES | attributes)
+        shard["pairs"] = PAIRS
+        for name, field in schema.FIELDS.items():
+            if field.dtype == "json":
+                shard.create_dataset(
+                    name, data=[json.dumps(f[name]) for f in frames], dtype=h5py.string_dtype()
+                )
+            else:
+                shard[name] = np.stack([f[name] for f in frames])
+
+
+def write_manifest(folder: Path, shards: dict[str, list[int]], **changes: Any) -> None:
+    """A manifest of the shards as they now lie in the folder."""
+    entries = [
+        {
+            "name": name,
+            "split": name.split("-")[0],
+            "frames": frames,
+            "bytes": (folder / name).stat().st_size,
+            "sha256": hashlib.sha256((folder / name).read_bytes()).hexdigest(),
+        }
+        for name, frames in shards.items()
+    ]
+    manifest = {"schema_version": 1, "shards": entries, "failures": []} | changes
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def numbered(frame: Frame, index: int, scene: int | None = None) -> Frame:
+    scene = index if scene is None else scene
+    return frame | {"frame_index": np.int64(index), "scene_index": np.int64(scene)}
+
+
+@pytest.fixture(scope="module")
+def tiny() -> Frame:
+    return make_frame((54, 96))
+
+
+@pytest.fixture
+def folder(tiny: Frame, tmp_path: Path) -> Path:
+    write_shard(tmp_path / "test-00000.h5", [numbered(tiny, 0)])
+    write_shard(tmp_path / "train-00000.h5", [numbered(tiny, 1), numbered(tiny, 2)])
+    write_manifest(tmp_path, {"test-00000.h5": [0], "train-00000.h5": [1, 2]})
+    return tmp_path
+
+
+def failures(folder: Path) -> dict[str, str]:
+    """Failed checks with their details."""
+    return {f.check: f.detail for f in validate_folder(folder).failed}
+
+
+def test_a_correct_set_passes_and_reports_progress(folder: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    report = validate_folder(folder, progress=lambda done, total: seen.append((done, total)))
+    assert report.passed, report.table()
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_the_table_names_every_check_and_every_failure(folder: Path) -> None:
+    (folder / "test-00000.h5").unlink()
+    table = validate_folder(folder).table()
+    assert all(name in table for name in CHECKS)
+    assert "FAILED readable: 1 files, limit 0; test-00000.h5; the file is missing" in table
+
+
+def test_worst_holds_the_largest_value_and_its_place(folder: Path, tiny: Frame) -> None:
+    frame = copy(numbered(tiny, 2))
+    frame["flow"][2] += 0.5
+    write_shard(folder / "train-00000.h5", [numbered(tiny, 1), frame])
+    value, limit, where = validate_folder(folder).worst["flow"]
+    assert (value, limit) == (pytest.approx(0.5, abs=1e-3), 1e-3)
+    assert where == "train-00000.h5, frame 2, camera 0 to 2"
+
+
+def test_a_changed_byte_is_found(folder: Path) -> None:
+    with h5py.File(folder / "train-00000.h5", "r+") as shard:
+        shard["image"][0, 0, 0, 0, 0] ^= 1
+    assert set(failures(folder)) == {"sha256"}
+
+
+def test_a_truncated_shard_is_found(folder: Path) -> None:
+    path = folder / "train-00000.h5"
+    path.write_bytes(path.read_bytes()[:5000])
+    found = failures(folder)
+    assert set(found) == {"sha256", "readable", "frames"}
+    assert "truncated, damaged or no HDF5 file" in found["readable"]
+    assert found["frames"] == "listed but not found: [1, 2]"
+
+
+def test_a_foreign_hdf5_file_is_found(folder: Path) -> None:
+    with h5py.File(folder / "train-00000.h5", "w") as file:
+        file["data"] = np.zeros(3)
+    found = failures(folder)
+    assert "attributes missing: schema_version, units" in found["attributes"]
+    assert "'image' is missing" in found["schema"]
+
+
+def test_a_shard_of_another_schema_is_found(folder: Path, tiny: Frame) -> None:
+    write_shard(folder / "test-00000.h5", [numbered(tiny, 0)], schema_version=0)
+    assert "schema version 0, expected 1: written by another" in failures(folder)["attributes"]
+
+
+def test_a_shard_with_other_frames_than_listed_is_found(folder: Path, tiny: Frame) -> None:
+    write_shard(folder / "test-00000.h5", [numbered(tiny, 10)])
+    write_manifest(folder, {"test-00000.h5": [0], "train-00000.h5": [1, 2]})
+    assert failures(folder) == {"frames": "listed but not found: [0]; found but not listed: [10]"}
+
+
+def test_a_gap_is_found_unless_it_is_a_recorded_failure(folder: Path, tiny: Frame) -> None:
+    write_shard(folder / "train-00000.h5", [numbered(tiny, 1), numbered(tiny, 3)])
+    shards = {"test-00000.h5": [0], "train-00000.h5": [1, 3]}
+    write_manifest(folder, shards)
+    assert failures(folder) == {"frames": "missing: [2]"}
+    write_manifest(folder, shards, failures=[{"frame": 2}])
+    assert validate_folder(folder).passed
+
+
+def test_a_set_of_one_split_is_complete_without_the_other(folder: Path, tiny: Frame) -> None:
+    write_manifest(folder, {"train-00000.h5": [1, 2]})
+    assert validate_folder(folder).passed
+
+
+def test_a_test_scene_among_the_training_shards_is_found(folder: Path, tiny: Frame) -> None:
+    write_shard(folder / "train-00000.h5", [numbered(tiny, 1), numbered(tiny, 2, scene=0)])
+    write_manifest(folder, {"test-00000.h5": [0], "train-00000.h5": [1, 2]})
+    assert failures(folder)["splits"] == "frames on the wrong side: [2]; scenes on both: [0]"
+
+
+def test_spec_that_is_no_json_is_found(folder: Path) -> None:
+    with h5py.File(folder / "test-00000.h5", "r+") as shard:
+        shard["spec"][0] = "{"
+    assert "'spec' is no JSON object" in failures(folder)["schema"]
+
+
+def test_no_manifest_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"no manifest here.*simgen render --out"):
+        validate_folder(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"schema_version": 1}'])
+def test_a_foreign_manifest_is_an_error(tmp_path: Path, text: str) -> None:
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(UserError, match="not a manifest of simgen"):
+        validate_folder(tmp_path)
+
+
+def test_a_manifest_of_another_schema_is_an_error(tmp_path: Path) -> None:
+    write_manifest(tmp_path, {}, schema_version=2)
+    with pytest.raises(UserError, match="schema version 2, expected 1"):
+        validate_folder(tmp_path)
+
+
+def test_an_empty_manifest_is_an_error(tmp_path: Path) -> None:
+    write_manifest(tmp_path, {})
+    with pytest.raises(UserError, match="lists no shard yet"):
+        validate_folder(tmp_path)
+
+
+# --- the distribution of the angles -------------------------------------------------------------
+
+
+def angle_findings(angles: np.ndarray) -> list[Finding]:
+    facts = [_Facts(i, i, "train", a) for i, a in enumerate(angles)]
+    return list(_check_angles(facts))
+
+
+def test_uniform_angles_pass_and_others_fail() -> None:
+    rng = np.random.default_rng(1)
+    uniform = rng.uniform(-1, 1, (100, 3, 3))
+    assert all(f.applies and f.passed for f in angle_findings(uniform))
+    assert not any(f.passed for f in angle_findings(uniform**3))
+    only_positive_yaw = np.where([False, True, False], np.abs(uniform), uniform)
+    assert [f.passed for f in angle_findings(only_positive_yaw)] == [True, False, True]
+
+
+def test_the_limit_on_uniformity_is_the_quantile_of_kolmogorov() -> None:
+    """For many angles it is √(ln(2/α) / 2n), with α shared by three axes."""
+    num = 3000
+    limit = angle_findings(np.zeros((num, 1, 3)))[0].limit
+    assert limit == pytest.approx(np.sqrt(np.log(2 / (1e-3 / 3)) / (2 * num)), rel=0.01)
+
+
+def test_few_angles_are_not_judged() -> None:
+    assert not any(f.applies for f in angle_findings(np.zeros((9, 3, 3))))

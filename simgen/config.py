@@ -1,0 +1,226 @@
+"""What a set is made of: the options of ``simgen render``, resolved and checked."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from simgen.errors import UserError
+from simgen.recipe import (
+    DaylightTable,
+    Recipe,
+    WeatherTable,
+    checked,
+    load_presets,
+    load_recipe,
+    read_toml,
+    recipe_names,
+    scenes_dir,
+)
+from simgen.rig import Rig
+from simgen.sensor import SENSORS
+
+MIN_SIZE, MAX_SIZE = (16, 16), (16384, 16384)
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Renders a set of stereo pairs with exact ground truth.
+
+    Nothing but the seed decides what is rendered. Running the same command again resumes; a
+    larger --n continues the set.
+    """
+
+    n: int
+    """number of stereo pairs; rounded up to whole rig frames (3 pairs each with the default rig)"""
+    out: Path = Path("shards")
+    """folder of the set"""
+    seed: int = 0
+    """dataset seed; 0 is a seed like any other"""
+    rig: str = "default"
+    """a rig of scenes/rigs/ (default, truck) or the path of a TOML file"""
+    size: str = ""
+    """image size WIDTHxHEIGHT [px]; the rig's native size if not given (default rig: 2560x1440)"""
+    spp: int = 4
+    """path-traced samples per pixel, a power of two; more is slower and less noisy"""
+    denoise: bool = True
+    """whether Open Image Denoise cleans the irradiance"""
+    sensor: Literal["camera", "ideal"] = "camera"
+    """camera: noise, vignetting, small differences in gain; ideal: exposure and tone curve only"""
+    recipes: str = ""
+    """comma-separated names (urban,suburban,highway,rural) or paths of TOML files; all by their
+    shares if not given"""
+    weather: str = ""
+    """comma-separated presets of scenes/weather.toml (clear,partly_cloudy,overcast)"""
+    daylight: str = ""
+    """comma-separated presets of scenes/daylight.toml (dawn,morning,noon,afternoon,dusk,night)"""
+    split: Literal["all", "train", "test"] = "all"
+    """render one side of the split only; a frame is a test frame if its scene number is divisible
+    by 10"""
+    frames_per_scene: int = 1
+    """frames of one drive through the same scene"""
+    frames_per_shard: int = 16
+    """rig frames per HDF5 file"""
+    workers: int = 1
+    """processes that render at the same time; the cores are divided among them"""
+    recycle: int = 50
+    """frames after which a worker process is replaced by a fresh one"""
+    variant: str = "auto"
+    """Mitsuba variant: auto, llvm_ad_rgb, scalar_rgb, cuda_ad_rgb (untested)"""
+    flow: bool = True
+    """store flow; without it the reader derives the same values from depth and cameras"""
+    compression: Literal["gzip", "zstd"] = "gzip"
+    """gzip is read by every HDF5 reader; zstd is faster and needs hdf5plugin"""
+    force: bool = False
+    """start even if the disk looks too small"""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Everything that decides the content of a frame."""
+
+    seed: int
+    rig_name: str
+    rig: Rig
+    wh: tuple[int, int]
+    spp: int
+    denoise: bool
+    sensor: str
+    recipes: dict[str, Recipe]
+    daylight: dict[str, DaylightTable]
+    weather: dict[str, WeatherTable]
+    frames_per_scene: int
+    flow: bool
+    compression: str
+    variant: str
+
+    def content(self) -> dict[str, Any]:
+        """Plain data, to be stored with the set and compared when it is continued."""
+        tables = {
+            name: {k: v.model_dump(mode="json") for k, v in getattr(self, name).items()}
+            for name in ("recipes", "daylight", "weather")
+        }
+        return {
+            "seed": self.seed,
+            "rig": {"name": self.rig_name, **self.rig.model_dump(mode="json")},
+            "size": f"{self.wh[0]}x{self.wh[1]}",
+            "spp": self.spp,
+            "denoise": self.denoise,
+            "sensor": self.sensor,
+            **tables,
+            "frames_per_scene": self.frames_per_scene,
+            "flow": self.flow,
+            "compression": self.compression,
+            "variant": self.variant,
+        }
+
+    @classmethod
+    def from_content(cls, data: dict[str, Any]) -> Job:
+        """The inverse of :meth:`content`."""
+        rig = {k: v for k, v in data["rig"].items() if k != "name"}
+        return cls(
+            seed=data["seed"],
+            rig_name=data["rig"]["name"],
+            rig=checked(Rig, rig, "stored rig"),
+            wh=parse_size(data["size"]),
+            spp=data["spp"],
+            denoise=data["denoise"],
+            sensor=data["sensor"],
+            recipes={k: checked(Recipe, v, k) for k, v in data["recipes"].items()},
+            daylight={k: checked(DaylightTable, v, k) for k, v in data["daylight"].items()},
+            weather={k: checked(WeatherTable, v, k) for k, v in data["weather"].items()},
+            frames_per_scene=data["frames_per_scene"],
+            flow=data["flow"],
+            compression=data["compression"],
+            variant=data["variant"],
+        )
+
+
+def resolve(options: RenderOptions, variant: str) -> Job:
+    """Reads the rig, recipes and presets that the options name.
+
+    Raises UserError for anything that cannot be.
+    """
+    _check_numbers(options)
+    rig_name, rig = load_rig(options.rig)
+    recipes = dict(load_recipe(name) for name in _names(options.recipes) or tuple(recipe_names()))
+    wh = parse_size(options.size) if options.size else rig.size
+    return Job(
+        seed=options.seed,
+        rig_name=rig_name,
+        rig=rig,
+        wh=wh,
+        spp=options.spp,
+        denoise=options.denoise,
+        sensor=options.sensor,
+        recipes=_with_positive_share(recipes),
+        daylight=_with_positive_share(
+            load_presets("daylight", DaylightTable, _names(options.daylight))
+        ),
+        weather=_with_positive_share(load_presets("weather", WeatherTable, _names(options.weather))),
+        frames_per_scene=options.frames_per_scene,
+        flow=options.flow,
+        compression=options.compression,
+        variant=variant,
+    )
+
+
+def _check_numbers(options: RenderOptions) -> None:
+    positive = ("n", "frames_per_scene", "frames_per_shard", "workers", "recycle", "spp")
+    for name in positive:
+        if getattr(options, name) < 1:
+            flag = "--" + name.replace("_", "-")
+            raise UserError(f"{flag} {getattr(options, name)}: expected a whole number from 1 on.")
+    if options.seed < 0:
+        raise UserError(f"--seed {options.seed}: expected a whole number from 0 on.")
+    if options.spp & (options.spp - 1) or options.spp > 4096:
+        raise UserError(
+            f"--spp {options.spp}: expected a power of two up to 4096 (1, 2, 4, 8, …); other counts "
+            "would recompile the renderer's kernels."
+        )
+    if options.sensor not in SENSORS:
+        raise UserError(f"--sensor {options.sensor}: expected one of {', '.join(SENSORS)}.")
+    cores = os.cpu_count() or 1
+    if options.workers > 4 * cores:
+        raise UserError(f"--workers {options.workers}: this machine has {cores} cores.")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _with_positive_share(tables: dict[str, Any]) -> dict[str, Any]:
+    """Drops what has no share; if everything has none (it was named), all get the same."""
+    if any(t.share > 0 for t in tables.values()):
+        return {k: t for k, t in tables.items() if t.share > 0}
+    return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """(width, height) from "2560x1440"; UserError if malformed, odd or out of range."""
+    match = re.fullmatch(r"(\d+)[x×](\d+)", text.strip().lower())
+    if match is None:
+        raise UserError(f"--size {text!r}: expected WIDTHxHEIGHT in pixels, like 2560x1440.")
+    w, h = int(match[1]), int(match[2])
+    if not (MIN_SIZE[0] <= w <= MAX_SIZE[0] and MIN_SIZE[1] <= h <= MAX_SIZE[1]):
+        raise UserError(
+            f"--size {text}: expected from {MIN_SIZE[0]}x{MIN_SIZE[1]} to "
+            f"{MAX_SIZE[0]}x{MAX_SIZE[1]} pixels."
+        )
+    return w, h
+
+
+def load_rig(name_or_path: str) -> tuple[str, Rig]:
+    """A rig by name (scenes/rigs/NAME.toml) or by the path of a TOML file."""
+    folder = scenes_dir() / "rigs"
+    path = Path(name_or_path) if name_or_path.endswith(".toml") else folder / f"{name_or_path}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+        raise UserError(
+            f"--rig {name_or_path}: expected one of {known}, or the path of a TOML file like those "
+            "in scenes/rigs/."
+        )
+    return path.stem, checked(Rig, read_toml(path), str(path))

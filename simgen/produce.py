@@ -1,0 +1,215 @@
+"""One frame, from its number to arrays: spec → world → images and ground truth.
+
+Everything about frame i follows from (dataset seed, i, attempt), never from what was rendered
+before, by whom, or in which order.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from simgen import __version__, daylight, groundtruth, render, scene, sensor, world
+from simgen.config import Job
+from simgen.ground import Optics
+from simgen.recipe import SceneSpec, draw_scene, draw_sky, pick, stream
+from simgen.rig import PosedRig, pose
+
+NIGHT_LAMPS = 16
+"""Light slots of a night scene."""
+
+
+class Stopwatch:
+    """Seconds per stage of a frame."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class FramePlan:
+    """What was drawn for a frame; no pixel yet."""
+
+    index: int
+    attempt: int
+    scene_index: int
+    spec: SceneSpec
+    drive: world.Drive
+    posed: PosedRig
+
+
+def scene_of(frame_index: int, frames_per_scene: int) -> int:
+    """Frames i of one scene are consecutive."""
+    return frame_index // frames_per_scene
+
+
+def draw_spec(job: Job, scene_index: int, attempt: int) -> SceneSpec:
+    """The drawn scene, from (dataset seed, scene, attempt)."""
+    seed = (job.seed, scene_index, attempt)
+    name = pick({k: r.share for k, r in job.recipes.items()}, rng=stream(*seed, "which recipe"))
+    sky = draw_sky(job.daylight, job.weather, seed=seed)
+    return draw_scene(name, job.recipes[name], sky=sky, seed=seed)
+
+
+def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:
+    """Draws the scene and poses the rig in it."""
+    scene_index = scene_of(index, job.frames_per_scene)
+    spec = draw_spec(job, scene_index, attempt)
+    drive = world.drive(spec, index - scene_index * job.frames_per_scene)
+    rng = stream(job.seed, index, attempt, "rig")
+    posed = pose(job.rig, drive.T_world_vehicle, job.wh, rng=rng)
+    return FramePlan(index, attempt, scene_index, spec, drive, posed)
+
+
+def make_frame(job: Job, index: int, attempt: int) -> tuple[dict[str, Any], dict[str, float]]:
+    """Renders frame ``index``: arrays by schema field (one frame), and seconds per stage."""
+    watch = Stopwatch()
+    with watch("draw"):
+        plan = plan_frame(job, index, attempt)
+    loaded, sky = load(plan, job, watch)
+    radiances = radiance(plan, job, loaded, sky, watch)
+    rng = stream(job.seed, index, attempt, "sensor")
+    with watch("develop"):
+        exposure = sensor.meter(radiances)
+        exposures = sensor.draw_exposures(job.sensor, exposure, len(radiances), rng=rng)
+        images = [
+            sensor.develop(r, e, rng=rng) for r, e in zip(radiances, exposures, strict=True)
+        ]
+    del radiances
+    with watch("ground truth"):
+        truth = _ground_truth(plan, job, loaded)
+    frame = {
+        "image": np.stack(images),
+        **truth,
+        **_cameras(plan),
+        "frame_index": np.int64(plan.index),
+        "scene_index": np.int64(plan.scene_index),
+        "spec": _spec_json(plan, job, exposures),
+    }
+    del loaded
+    free_memory()
+    return frame, watch.seconds
+
+
+def load(plan: FramePlan, job: Job, watch: Stopwatch) -> tuple[scene.Scene, Any]:
+    """Builds the frame's world and hands it to Mitsuba; returns it with the sky."""
+    with watch("build"):
+        built = world.build(plan.spec, plan.drive, optics(plan, job))
+    with watch("load"):
+        night = daylight.is_night(plan.spec.sky)
+        return scene.load(built, num_lamps=NIGHT_LAMPS if night else 0), built.sky
+
+
+def radiance(
+    plan: FramePlan, job: Job, loaded: scene.Scene, sky: Any, watch: Stopwatch
+) -> list[render.Image]:
+    """Linear radiance (H, W, 3) of every camera, haze included."""
+    haze = daylight.haze_radiance(sky)
+    images = []
+    for number, camera in enumerate(plan.posed.cameras):
+        seed = int(stream(job.seed, plan.index, plan.attempt, f"paths {number}").integers(1 << 31))
+        image, features, seconds = render.render(
+            loaded, camera, spp=job.spp, denoise=job.denoise, seed=seed
+        )
+        with watch("haze"):
+            images.append(
+                render.through_haze(image, features, haze, plan.spec.sky.visibility_m)
+            )
+        for stage, spent in asdict(seconds).items():
+            watch.seconds[stage] = watch.seconds.get(stage, 0.0) + spent
+    return images
+
+
+def free_memory() -> None:
+    """Returns what a scene held; without it memory creeps up from frame to frame."""
+    gc.collect()
+    dr.flush_malloc_cache()
+
+
+def optics(plan: FramePlan, job: Job) -> Optics:
+    """What the rig sees of the ground."""
+    K = plan.posed.cameras[0].K
+    lowest = np.arctan2(job.wh[1] / 2, K[1, 1]) + np.deg2rad(job.rig.perturbation_deg)
+    nearest = plan.posed.height_m / np.tan(min(lowest, 1.2))
+    return Optics(float(K[0, 0]), float(np.deg2rad(job.rig.hfov_deg)), float(nearest))
+
+
+def _ground_truth(plan: FramePlan, job: Job, loaded: scene.Scene) -> dict[str, Any]:
+    cameras = plan.posed.cameras
+    views = [groundtruth.look(loaded, camera) for camera in cameras]
+    depth = [groundtruth.depth(v) for v in views]
+    pairs = job.rig.pairs
+    truth = {
+        "depth": np.stack(depth),
+        "semantic": np.stack([groundtruth.semantic(v, loaded.faces) for v in views]),
+        "instance": np.stack([groundtruth.instance(v, loaded.faces) for v in views]),
+        "flow_status": np.stack(
+            [groundtruth.flow_status(loaded, views[a], views[b]) for a, b in pairs]
+        ),
+        "flow_status_reverse": np.stack(
+            [groundtruth.flow_status(loaded, views[b], views[a]) for a, b in pairs]
+        ),
+    }
+    if job.flow:
+        truth["flow"] = np.stack(
+            [groundtruth.flow(depth[a], cameras[a], cameras[b]) for a, b in pairs]
+        )
+    return truth
+
+
+def _cameras(plan: FramePlan) -> dict[str, Any]:
+    posed = plan.posed
+    return {
+        "K": np.stack([c.K for c in posed.cameras]),
+        "T_world_cam": np.stack([c.T_world_cam for c in posed.cameras]),
+        "T_world_cam_nominal": posed.T_world_cam_nominal,
+        "perturbation_deg": posed.perturbation_deg,
+    }
+
+
+def _spec_json(plan: FramePlan, job: Job, exposures: list[sensor.Exposure]) -> dict[str, Any]:
+    """All that is needed to render the frame again."""
+    sky = plan.spec.sky
+    return {
+        "frame_index": plan.index,
+        "scene_index": plan.scene_index,
+        "attempt": plan.attempt,
+        "dataset_seed": job.seed,
+        "recipe": plan.spec.recipe,
+        "daylight": {"name": sky.daylight, "sun_elevation_deg": sky.sun_elevation_deg,
+                     "sun_azimuth_deg": sky.sun_azimuth_deg},
+        "weather": {"name": sky.weather, "cloud_cover": sky.cloud_cover,
+                    "turbidity": sky.turbidity, "visibility_m": sky.visibility_m},
+        "rig": {"name": job.rig_name, "height_m": plan.posed.height_m,
+                "perturbation_deg": job.rig.perturbation_deg, "hfov_deg": job.rig.hfov_deg},
+        "T_world_vehicle": plan.drive.T_world_vehicle.tolist(),
+        "scene": plan.spec.to_json(),
+        "sensor": job.sensor,
+        "exposure": [asdict(e) for e in exposures],
+        "samples": {"spp": job.spp, "features_spp": render.FEATURE_SPP,
+                    "max_depth": render.MAX_DEPTH},
+        "denoiser": "Open Image Denoise, fast, on irradiance" if job.denoise else "none",
+        "engine": job.variant,
+        "versions": versions(),
+    }  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Of everything that decides pixels."""
+    packages = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "opencv-python-headless")
+    return {"simgen": __version__, **{p: version(p) for p in packages}}
+

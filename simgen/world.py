@@ -1,0 +1,85 @@
+"""A drawn spec → all surfaces and lights of the scene, seen from where the rig stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simgen import daylight, ground, layout, markings, roads, sheets
+from simgen.geometry import Array, rotation_from_vector, transform
+from simgen.recipe import SceneSpec
+from simgen.roads import Network, at_station, stations
+from simgen.scene import World
+from simgen.signs import sign_atlas
+from simgen.site import Site
+
+FRAME_STEP_M = 3.0
+"""How far the rig drives between two frames of a scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A scene's network and the rig's pose on it."""
+
+    network: Network
+    T_world_vehicle: Array
+    """(4, 4): x forward, y left, z up, origin on the road below the rig"""
+
+
+def drive(spec: SceneSpec, step: int) -> Drive:
+    """The road network and where the rig is at frame ``step`` of the scene."""
+    network = roads.build(spec)
+    rng = spec.stream(f"pose {step}")
+    lane = network.rig_lane
+    s = min(network.rig_station + FRAME_STEP_M * step, stations(lane.centre)[-1] - 4.0)
+    point, heading = at_station(lane.centre, s)
+    ends = at_station(lane.centre, np.array([s - 1.5, s + 1.5]))[0]
+    pitch = -np.arctan2(ends[1, 2] - ends[0, 2], 3.0)
+    side = np.array([-np.sin(heading), np.cos(heading), 0.0])
+    yaw = float(heading) + float(rng.normal(0, 0.01))
+    R = rotation_from_vector(np.array([0, 0, yaw])) @ rotation_from_vector(np.array([0, pitch, 0]))
+    return Drive(network, transform(R, point + float(rng.normal(0, 0.12)) * side))
+
+
+def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
+    """Everything that can be seen."""
+    site = Site(drive.network)
+    atlas = sign_atlas(rng=spec.stream("signs"))
+    paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
+    half = layout.FAR_INNER_M
+    far = (layout.FAR_CENTRE - half, layout.FAR_CENTRE + half)
+    rig_xy = drive.T_world_vehicle[:2, 3]
+    return World(
+        parts=layout.place(site, spec, rig_xy, atlas.rects),
+        ground=ground.build(site, spec, paints, drive.T_world_vehicle, optics,
+                            far_low=far[0], far_high=far[1]),
+        sheets=_sheets(spec),
+        sign_atlas=atlas.image,
+        sky=daylight.environment(spec.sky, rng=spec.stream("clouds")),
+    )  # fmt: skip
+
+
+WALL_KINDS = ("brick", "plaster", "concrete", "stone")
+_WALL_COLORS = {
+    "brick": ((0.26, 0.10, 0.07), (0.33, 0.17, 0.10), (0.20, 0.10, 0.08), (0.38, 0.27, 0.17)),
+    "plaster": ((0.62, 0.58, 0.50), (0.60, 0.47, 0.28), (0.55, 0.37, 0.30), (0.45, 0.50, 0.48)),
+    "concrete": ((0.32, 0.31, 0.29), (0.40, 0.38, 0.35)),
+    "stone": ((0.38, 0.33, 0.26), (0.30, 0.29, 0.27)),
+}
+
+
+def _sheets(spec: SceneSpec) -> dict[str, sheets.Sheet]:
+    """The scene's four walls, its roofs and its bark."""
+    rng = spec.stream("sheets")
+    kinds = ["brick", "plaster", *rng.choice(WALL_KINDS, 2)]
+    colors = [_WALL_COLORS[k][rng.integers(len(_WALL_COLORS[k]))] for k in kinds]
+    walls = {
+        f"wall_{i}": sheets.wall_sheet(k, c, rng=rng, size_px=1024, metres=16.0)
+        for i, (k, c) in enumerate(zip(kinds, colors, strict=True))
+    }
+    return {
+        **walls,
+        "roof": sheets.roof_sheet(rng=rng, size_px=1024, metres=16.0),
+        "bark": sheets.bark_sheet(rng=rng),
+    }
