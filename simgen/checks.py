@@ -7,6 +7,7 @@ their images in ``photometric``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from simgen import photometric, schema, twoview
-from simgen.findings import CHECKS, Finding, judge, not_applicable
+from simgen.findings import CHECKS, Finding, judge, judge_estimate, not_applicable
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.uint8]
@@ -22,8 +23,8 @@ Arrays = Mapping[str, Any]
 
 NUM_TEXTURED_MIN = 500  # fewer textured pixels say nothing about a shift
 NEED_FLOW = ("flow", "vertical_flow")
-NEED_TEXTURE = ("photometric_shift", "photometric_match")
-FULL_ACCURACY_WIDTH = 320  # narrower images get a proportionally wider limit on the shift
+NEED_TEXTURE = ("photometric_shift", "photometric_offset", "photometric_match")
+FULL_ACCURACY_WIDTH = 320  # narrower images get a proportionally wider photometric limits
 
 
 def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding]:
@@ -197,17 +198,15 @@ def _check_images(d: twoview.Direction, spec: Mapping[str, Any]) -> list[Finding
     """Whether the flow explains the right image by the left one, in daylight and on texture."""
     if spec.get("daylight", {}).get("name") == "night":
         return [not_applicable(name, d.where, "night") for name in NEED_TEXTURE]
-    shift = photometric.estimate_shift(d.source.image, d.target.image, *twoview.clean_matches(d))
-    if shift.num < NUM_TEXTURED_MIN:
-        why = f"{shift.num} textured pixels, {NUM_TEXTURED_MIN} needed"
+    found = photometric.align(d.source.image, d.target.image, *twoview.clean_matches(d))
+    if found.num < NUM_TEXTURED_MIN:
+        why = f"{found.num} textured pixels, {NUM_TEXTURED_MIN} needed"
         return [not_applicable(name, d.where, why) for name in NEED_TEXTURE]
-    return [_judge_shift(d, shift), judge("photometric_match", 1 - shift.correlation, d.where)]
-
-
-def _judge_shift(d: twoview.Direction, shift: photometric.Shift) -> Finding:
-    name, (du, dv) = "photometric_shift", shift.uv
-    limit = CHECKS[name].limit * max(1.0, FULL_ACCURACY_WIDTH / d.status.shape[1])
-    detail = f"({du:+.4f}, {dv:+.4f}) ± {shift.std_error:.4f} px from {shift.num} pixels"
-    if shift.std_error > limit / 3:
-        return not_applicable(name, d.where, f"too uncertain: {detail}")
-    return judge(name, np.hypot(du, dv), d.where, detail, limit=limit)
+    scale = max(1.0, FULL_ACCURACY_WIDTH / d.status.shape[1])
+    limits = [scale * CHECKS[name].limit for name in NEED_TEXTURE]
+    offset = not_applicable("photometric_offset", d.where, f"pooled over the set: {found.offset}")
+    return [
+        judge_estimate("photometric_shift", found.shift, d.where, limits[0]),
+        replace(offset, estimate=found.offset, limit=limits[1]),
+        judge("photometric_match", 1 - found.correlation, d.where, f"of {found.num} pixels"),
+    ]

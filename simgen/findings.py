@@ -7,13 +7,17 @@ count the pixels that *disagree*.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simgen.photometric import Estimate
+
 BORDER_PX = 1e-3  # end points this close to the border may be called in or out of frame
+
+CERTAINTY = 5  # standard errors that must fit into the limit of an estimate
 
 
 def _p99(values: NDArray[np.float64]) -> float:
@@ -64,6 +68,7 @@ CHECKS: dict[str, Check] = {
     "semantic": Check("visible pixels whose label is not at the end point", 0.03, "",
                       np.mean, 100),
     "photometric_shift": Check("shift between the images after warping by the flow", 0.05, "px"),
+    "photometric_offset": Check("offset of both images against depth and flow", 0.2, "px"),
     "photometric_match": Check("1 − correlation of the image gradients after warping", 0.5),
 }  # fmt: skip
 
@@ -78,6 +83,8 @@ class Finding:
     limit: float
     where: str
     detail: str = ""
+    estimate: Estimate | None = None
+    """what photometry measured, to be pooled over the set"""
 
     @property
     def applies(self) -> bool:
@@ -102,6 +109,17 @@ def judge(
 
 def not_applicable(name: str, where: str, why: str) -> Finding:
     return Finding(name, np.nan, CHECKS[name].limit, where, f"not applicable: {why}")
+
+
+def judge_estimate(name: str, estimate: Estimate, where: str, limit: float) -> Finding:
+    """Judges the components whose standard error fits ``CERTAINTY`` times into the limit."""
+    certain = estimate.std_error <= limit / CERTAINTY
+    if certain.any():
+        length = np.linalg.norm(estimate.uv[certain])
+        finding = judge(name, length, where, str(estimate), limit=limit)
+    else:
+        finding = not_applicable(name, where, f"too uncertain: {estimate}")
+    return replace(finding, estimate=estimate)
 
 
 @dataclass(frozen=True)

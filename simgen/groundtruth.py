@@ -204,7 +204,11 @@ def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArr
 
 
 def _trace_wavefront(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
-    ray = mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(np.ascontiguousarray(directions.T)))
+    # An opaque origin: as a literal it would be part of the kernel, and every frame would compile.
+    point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin))
+    # One array per axis: a stacked one is read with its length as a literal, and would compile, too.
+    axes = (mi.Float(np.ascontiguousarray(directions[:, k])) for k in range(3))
+    ray = mi.Ray3f(point, mi.Vector3f(*axes))
     hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
     registry_id = dr.reinterpret_array(mi.UInt32, hit.shape)
     dr.eval(registry_id, hit.prim_index)

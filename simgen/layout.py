@@ -106,7 +106,7 @@ def _buildings(layout: Layout) -> Placed:
             if layout.in_view(middle):
                 nearest = mass.footprint[np.argmin(np.linalg.norm(mass.footprint - layout.rig_xy, axis=1))]
                 model += buildings.build(mass, rng=rng, lod=layout.lod(nearest, 45.0, 130.0),
-                                         walls=[str(w) for w in walls])  # fmt: skip
+                                         walls=[str(w) for w in walls[:2]])  # fmt: skip
         if model:
             yield model
 
@@ -293,7 +293,7 @@ def _background(layout: Layout) -> Placed:
 
     def inner_height(xy: Array) -> Array:
         z = layout.site.height(xy + FAR_CENTRE)
-        return np.where(np.isnan(z), np.nanmean(z), z)
+        return np.nan_to_num(z)
 
     land = background.countryside(
         FAR_INNER_M, FAR_OUTER_M, inner_height, relief_m=layout.spec.far_relief_m, rng=rng

@@ -114,7 +114,8 @@ def _concatenated(
 def box(size: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Vertices, Faces]:
     """An axis-aligned box with flat-shaded sides (24 vertices, 12 faces)."""
     half = np.asarray(size, dtype=np.float64) / 2
-    vertices, faces = [], []
+    vertices: list[Vertices] = []
+    faces: list[list[int]] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             a, b = (axis + 1) % 3, (axis + 2) % 3

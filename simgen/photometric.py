@@ -1,17 +1,24 @@
-"""The global sub-pixel shift between two images that ought to agree after warping.
+"""Two small numbers that tie the pixels of a pair to its geometry.
 
-Model: right(x + flow(x) + s) = gain · left(x) + offset at textured pixels x, with one shift s for
-the whole image. It ties the pixels to the geometry: a flow that is right explains the right image
-with s = 0, while half a pixel in a principal point, or a ground truth taken at pixel corners,
-shows as s ≠ 0.
+shift s:  right(x + flow(x) + s) = gain · left(x) + bias at all textured pixels x. A flow that is
+          right explains the right image with s = 0; half a pixel in one principal point, or a
+          turned camera, does not.
+offset o: both images show at pixel x what depth and flow hold at x + o, for example half a pixel
+          if the ground truth was taken at pixel corners. Then x belongs to x + flow(x + o), so
+          that the slope of the flow, on road and walls, makes o visible beside s.
 
-Gauss-Newton on Tukey's robust cost. The images are slightly smoothed, against aliasing, and
-sampled by cubic B-splines. The gradient in the Jacobian is the mean of both images', which keeps
-noise from biasing s (Baker & Matthews 2004, section 3, on why one image's gradient would do so).
+Both by Gauss-Newton on Tukey's robust cost. The images are slightly smoothed, against aliasing,
+and sampled by cubic B-splines. The gradient in the Jacobian is the mean of both images', so that
+the noise of one of them is not squared and does not bias the result.
+
+Standard errors are those of residuals that are correlated within tiles of the image (denoised
+noise is), not of independent pixels: the "sandwich" of Liang & Zeger, Longitudinal data analysis
+using generalized linear models, 1986.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -21,22 +28,36 @@ from scipy import ndimage
 
 Array = NDArray[np.float64]
 
-SMOOTHING_PX = 0.7  # standard deviation
+SMOOTHING_PX = 0.5  # standard deviation
 TEXTURE_MIN = 2.0  # grey levels per pixel
 UNCLIPPED = (8.0, 247.0)  # grey levels: outside, gain and offset do not hold
 TUKEY = 4.685  # × standard deviation of the residual: 95 % efficiency on Gaussian noise
+TILE_PX = 32  # residuals further apart than this are taken as independent
+UNDETERMINED = 1e-14  # variances below this [px²] mean that a component has no influence
 NUM_ITERATIONS_MAX = 20
 CONVERGED_PX = 1e-4
 
 
-@dataclass(frozen=True)
-class Shift:
-    """The shift that best explains the right image."""
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A displacement and its uncertainty."""
 
     uv: Array
     """(2,) [px]"""
-    std_error: float
-    """of its components [px]"""
+    std_error: Array
+    """(2,) [px]"""
+
+    def __str__(self) -> str:
+        parts = zip(self.uv, self.std_error, strict=True)
+        return ", ".join(f"{value:+.4f} ± {error:.4f}" for value, error in parts) + " px"
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How the images of a pair lie on each other and on the geometry."""
+
+    shift: Estimate
+    offset: Estimate
     correlation: float
     """between the two images' gradients, after warping"""
     num: int
@@ -58,46 +79,71 @@ class _Grey:
         return np.stack([_sample(g, uv, order=1) for g in (self.du, self.dv)], axis=-1)
 
 
-def estimate_shift(
-    left: NDArray[np.uint8], right: NDArray[np.uint8], uv: Array, end: Array
-) -> Shift:
-    """Fits the shift of the right image, given corresponding points.
+def align(
+    left: NDArray[np.uint8], right: NDArray[np.uint8], uv: Array, end: Array, flow_slope: Array
+) -> Alignment:
+    """Fits shift and offset of a pair of images (H, W, 3), given corresponding points.
 
     Args:
-      left: image (H, W, 3); right: likewise.
-      uv: pixels (N, 2) of the left image, away from depth edges; those without texture and the
-        clipped ones are left out here.
-      end: where the flow takes them in the right image (N, 2).
+      left: where ``uv`` lie; right: where ``end`` lie.
+      uv: pixels (N, 2) away from depth edges; those without texture and the clipped ones are
+        left out here.
+      end: where the flow takes them, (N, 2).
+      flow_slope: derivative (N, 2, 2) of the flow with respect to (u, v), in the last axis.
     """
     grey_left, grey_right = _grey(left), _grey(right)
     value, gradient = grey_left.value(uv), grey_left.gradient(uv)
     use = (np.hypot(*gradient.T) >= TEXTURE_MIN) & (value > UNCLIPPED[0]) & (value < UNCLIPPED[1])
-    value, gradient, end = value[use], gradient[use], end[use]
+    value, gradient, end, flow_slope = value[use], gradient[use], end[use], flow_slope[use]
+    tile = np.unique(uv[use] // TILE_PX, axis=0, return_inverse=True)[1]
     if value.size == 0:
-        return Shift(np.zeros(2), np.inf, 0.0, 0)
+        nothing = Estimate(np.zeros(2), np.full(2, np.inf))
+        return Alignment(nothing, nothing, 0.0, 0)
     there = grey_right.gradient(end)
-    shift, std_error = _fit(value, gradient, grey_right, end)
     correlation = (gradient * there).sum() / np.sqrt((gradient**2).sum() * (there**2).sum() + 1e-9)
-    return Shift(shift, std_error, float(correlation), value.size)
+    uniform = np.broadcast_to(np.eye(2), flow_slope.shape)
+    both = np.concatenate([flow_slope, uniform], axis=-1)
+    shift, offset = (
+        _fit(value, gradient, grey_right, end, basis, tile) for basis in (uniform, both)
+    )
+    return Alignment(shift, offset, float(correlation), value.size)
 
 
-def _fit(value: Array, gradient: Array, right: _Grey, end: Array) -> tuple[Array, float]:
-    shift, gain, offset = np.zeros(2), 1.0, 0.0
+def pool(estimates: Sequence[Estimate]) -> Estimate:
+    """The mean of independent estimates, weighted by certainty; its error is their scatter's."""
+    values = np.array([e.uv for e in estimates])
+    weight = np.array([e.std_error for e in estimates]) ** -2.0
+    weight /= weight.sum(axis=0)
+    mean = (weight * values).sum(axis=0)
+    return Estimate(mean, np.sqrt((weight**2 * (values - mean) ** 2).sum(axis=0)))
+
+
+def _fit(
+    value: Array, gradient: Array, right: _Grey, end: Array, basis: Array, tile: NDArray[np.intp]
+) -> Estimate:
+    """The first two of the coefficients by which ``basis`` (N, 2, K) displaces the end points."""
+    coeffs, gain, bias = np.zeros(basis.shape[-1]), 1.0, 0.0
     for _ in range(NUM_ITERATIONS_MAX):
-        observed = right.value(end + shift)
-        slope = (right.gradient(end + shift) + gain * gradient) / 2
-        residual = observed - gain * value - offset
+        moved = end + basis @ coeffs
+        observed = right.value(moved)
+        slope = (right.gradient(moved) + gain * gradient) / 2
+        residual = observed - gain * value - bias
         residual -= np.median(residual)
         sigma = 1.4826 * np.median(np.abs(residual)) + 1e-6
         weight = np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, 1) ** 2
-        J = np.column_stack([-slope, value, np.ones_like(value)])
-        normal = J.T @ (J * weight[:, None])
-        *step, gain, offset = np.linalg.pinv(normal) @ (J.T @ (weight * observed))
-        shift = shift + step
-        if np.hypot(*step) < CONVERGED_PX:
+        columns = -np.einsum("nc,nck->nk", slope, basis)
+        J = np.column_stack([columns, value, np.ones_like(value)])
+        inverse_normal = np.linalg.pinv(J.T @ (J * weight[:, None]))
+        *step, gain, bias = inverse_normal @ (J.T @ (weight * observed))
+        coeffs = coeffs + step
+        if np.abs(step).max() < CONVERGED_PX:
             break
-    covariance = sigma**2 * np.linalg.pinv(normal)
-    return shift, float(np.sqrt(covariance.diagonal()[:2].max()))
+    scores = np.zeros((tile.max() + 1, J.shape[1]))
+    np.add.at(scores, tile, J * (weight * residual)[:, None])
+    covariance = inverse_normal @ (scores.T @ scores) @ inverse_normal
+    variance = covariance.diagonal()[:2]
+    # A direction that nothing determines comes out of the pseudo-inverse as certain.
+    return Estimate(coeffs[:2], np.sqrt(np.where(variance > UNDETERMINED, variance, np.inf)))
 
 
 def _grey(image: NDArray[np.uint8]) -> _Grey:

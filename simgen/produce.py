@@ -14,14 +14,20 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
+import cv2
 import drjit as dr
 import numpy as np
+import psutil
 
 from simgen import __version__, daylight, groundtruth, render, scene, sensor, world
+from simgen.checks import check_frame
 from simgen.config import Job
+from simgen.engine import Engine, activate
 from simgen.ground import Optics
 from simgen.recipe import SceneSpec, draw_scene, draw_sky, pick, stream
 from simgen.rig import PosedRig, pose
+from simgen.run import FrameRejected, FrameResult, FrameTask
+from simgen.store import write_frame
 
 NIGHT_LAMPS = 16
 """Light slots of a night scene."""
@@ -213,3 +219,29 @@ def versions() -> dict[str, str]:
     packages = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "opencv-python-headless")
     return {"simgen": __version__, **{p: version(p) for p in packages}}
 
+
+
+# --- in a worker ---------------------------------------------------------------------------------
+
+
+def start(engine: Engine, threads: int) -> None:
+    """Loads Mitsuba in a worker process."""
+    activate(engine, threads)
+    cv2.setNumThreads(threads)
+
+
+def render_frame_file(task: FrameTask) -> FrameResult:
+    """Renders, checks and writes one frame; raises FrameRejected if the check fails."""
+    watch = Stopwatch()
+    job: Job = task.job
+    frame, seconds = make_frame(job, task.index, task.attempt)
+    with watch("check"):
+        findings = check_frame(frame, np.array(job.rig.pairs, dtype=np.uint8), thorough=False)
+        failed = [f for f in findings if not f.passed]
+    if failed:
+        raise FrameRejected([f"{f.check} {f.value:g} (limit {f.limit:g}) {f.where}" for f in failed])
+    with watch("write"):
+        write_frame(task.path, frame, pairs=job.rig.pairs, compression=job.compression)
+    memory = psutil.Process()
+    return FrameResult(task.index, task.attempt, {**seconds, **watch.seconds},
+                       memory.memory_info().rss, memory.pid)  # fmt: skip

@@ -327,14 +327,21 @@ def _compact(vertices: Array, faces: NDArray[np.int64]) -> Surface:
 def _read_buildings(road_map: Any, spec: SceneSpec) -> list[list[Massing]]:
     rng = spec.stream("lots")
     return [
-        [_massing(road_map, building, part) for part in road_map.building_parts(building)
-         if road_map.building_part_kind(part) != "foundation"]
+        _massings(road_map, building)
         for building in road_map.building_ids()
         if rng.random() < spec.building_keep
     ]  # fmt: skip
 
 
-def _massing(road_map: Any, building: str, part: str) -> Massing:
+def _massings(road_map: Any, building: str) -> list[Massing]:
+    """The parts of a building; its foundation is part of its walls."""
+    parts = [p for p in road_map.building_parts(building)
+             if road_map.building_part_kind(p) != "foundation"]  # fmt: skip
+    ground_z = min(road_map.building_part_shape(p)[0] for p in parts)
+    return [_massing(road_map, building, p, ground_z) for p in parts]
+
+
+def _massing(road_map: Any, building: str, part: str, ground_z: float) -> Massing:
     ring = np.array(road_map.building_footprint(part))
     base_z, wall_height, roof, roof_height, ridge_rad, _levels = road_map.building_part_shape(part)
     footprint = ring[:, :2] if _area(ring) > 0 else ring[::-1, :2]
@@ -344,6 +351,7 @@ def _massing(road_map: Any, building: str, part: str) -> Massing:
         roof_height=roof_height, ridge_rad=ridge_rad,
         kind=road_map.building_part_kind(part) or road_map.building_kind(building),
         front=_front_wall(footprint, road_map, frontage),
+        on_ground=base_z - ground_z < 0.5,
     )  # fmt: skip
 
 

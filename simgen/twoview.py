@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,7 @@ NEARER = 1.001  # ratio of inverse depths from which something lies in front
 AFFINE = 1e-3  # second difference, over inverse depth, up to which a patch is one plane
 SAMPLE_PIXELS = 60_000  # per direction, when a check is not thorough
 BLOCK_PIXELS = 200_000  # evaluated at a time: bounds the memory
+EDGE_PX = 4  # between depth edges and pixels whose brightness is compared
 PHOTOMETRIC_PIXELS = 400_000  # per pair, before those without texture are left out
 
 
@@ -170,6 +172,8 @@ class _Patch:
     """(N,) whether the patch is affine: no depth edge, no crease, no image border"""
     w_end: Array
     """(N,) at the end points themselves: exact on a plane"""
+    slope: Array
+    """(2, N) per pixel in u and v"""
 
     def reaches(self, w: Array) -> Bools:
         """Whether the nearest pixel shows w, give or take what its surface changes in ½ px.
@@ -192,12 +196,16 @@ def _neighbours(end: Array, hw: Sequence[int]) -> Indices:
 
 def _patch(depth: NDArray[np.float32], end: Array, near: Indices) -> _Patch:
     w = _inverse(depth.ravel()[near])
-    middle = w[1, 1]
+    slope = np.stack([w[1, 2] - w[1, 0], w[2, 1] - w[0, 1]]) / 2
+    w_end = w[1, 1] + ((end - np.rint(end)).T * slope).sum(axis=0)
+    return _Patch(w, _is_plane(w), w_end, slope)
+
+
+def _is_plane(w: Array) -> Bools:
+    """Whether patches (3, 3, …) of inverse depth are affine."""
     opposite = ((w[1, 0], w[1, 2]), (w[0, 1], w[2, 1]), (w[0, 0], w[2, 2]), (w[0, 2], w[2, 0]))
-    bend = np.max([np.abs(one + other - 2 * middle) for one, other in opposite], axis=0)
-    du, dv = (end - np.rint(end)).T
-    slope_u, slope_v = (w[1, 2] - w[1, 0]) / 2, (w[2, 1] - w[0, 1]) / 2
-    return _Patch(w, bend <= AFFINE * middle, middle + du * slope_u + dv * slope_v)
+    bend = np.max([np.abs(one + other - 2 * w[1, 1]) for one, other in opposite], axis=0)
+    return np.asarray(bend <= AFFINE * w[1, 1])
 
 
 def _compare_patches(
@@ -232,18 +240,34 @@ def _contains(ids: NDArray[Any], near: Indices, wanted: NDArray[Any]) -> Bools:
     return (ids.ravel()[near] == wanted).any(axis=(0, 1))
 
 
-def clean_matches(d: Direction) -> tuple[Array, Array]:
-    """Visible pixels (N, 2) and end points (N, 2), both on plane patches of one opaque surface."""
+def clean_matches(d: Direction) -> tuple[Array, Array, Array]:
+    """Correspondences to compare the images by.
+
+    Returns:
+      Visible pixels (N, 2) of the source, their end points (N, 2) and the slope (N, 2, 2) of the
+      flow, which its last axis takes along u and v. Both ends lie on one opaque surface, and
+      ``EDGE_PX`` away from depth edges, so that no silhouette reaches into the smoothed images.
+    """
     hw, stride = d.status.shape, _stride(d.status.shape, PHOTOMETRIC_PIXELS)
-    status = d.status[::stride, ::stride]
+    opaque = (d.status & (schema.VISIBLE | schema.GLASS)) == schema.VISIBLE
     i, j = stride * np.array(
-        np.nonzero((status & (schema.VISIBLE | schema.GLASS)) == schema.VISIBLE)
+        np.nonzero((opaque & _is_far_from_edges(d.source.depth))[::stride, ::stride])
     )
-    uv = np.stack([j, i], axis=-1).astype(np.float64)
-    end, w_end = reproject(d.source, d.target, uv, _inverse(d.source.depth[i, j]))
-    ends = np.isfinite(w_end)
-    uv, end, w_end = uv[ends], end[ends], w_end[ends]
-    here = _patch(d.source.depth, uv, _neighbours(uv, hw))
-    there = _patch(d.target.depth, end, _neighbours(end, hw))
-    clean = here.is_plane & there.is_plane & _is_close(there.w_end, w_end)
-    return uv[clean], end[clean]
+    uv, w = np.stack([j, i], axis=-1).astype(np.float64), _inverse(d.source.depth[i, j])
+    slope = _patch(d.source.depth, uv, _neighbours(uv, hw)).slope
+    steps = np.eye(2)
+    end, w_end = reproject(d.source, d.target, uv, w)
+    beside = [reproject(d.source, d.target, uv + step, w + step @ slope)[0] for step in steps]
+    flow_slope = np.stack(beside, axis=-1) - end[..., None] - steps
+    near = _neighbours(end, hw)
+    clean = _is_far_from_edges(d.target.depth).ravel()[near[1, 1]]
+    clean &= _is_close(_patch(d.target.depth, end, near).w_end, w_end)
+    return uv[clean], end[clean], flow_slope[clean]
+
+
+def _is_far_from_edges(depth: NDArray[np.float32]) -> Bools:
+    """Pixels (H, W) around which all 3×3 patches are planes, as far as ``EDGE_PX``."""
+    padded = np.pad(_inverse(depth), 1, mode="edge")
+    w = np.moveaxis(np.lib.stride_tricks.sliding_window_view(padded, (3, 3)), (2, 3), (0, 1))
+    kernel = np.ones((2 * EDGE_PX + 1,) * 2, np.uint8)
+    return cv2.erode(_is_plane(w).astype(np.uint8), kernel).astype(bool)

@@ -22,7 +22,8 @@ from scipy import stats
 from simgen import schema
 from simgen.checks import check_frame, max_angle_deg
 from simgen.errors import UserError
-from simgen.findings import Finding, Report, judge, not_applicable
+from simgen.findings import Finding, Report, judge, judge_estimate, not_applicable
+from simgen.photometric import pool
 
 with contextlib.suppress(ImportError):
     import hdf5plugin  # noqa: F401  (registers the filters of sets compressed with zstd)
@@ -31,6 +32,7 @@ __all__ = ["Finding", "Report", "check_frame", "validate_folder"]
 
 SIGNIFICANCE = 1e-3  # of the test for uniform angles, over the three axes together
 NUM_ANGLES_MIN = 30  # per axis, for that test
+NUM_POOLED_MIN = 10  # pairs whose photometry is worth pooling
 TEST_EVERY = 10  # a scene is a test scene if this divides its index
 ATTRIBUTES = (
     "schema_version", "units", "conventions", "dataset_seed", "config", "package_version",
@@ -91,6 +93,7 @@ def validate_folder(
         _check_frames(entries, read, failed_frames),
         _check_splits(read.facts),
         *_check_angles(read.facts),
+        *_pool_photometry(read.findings),
     ]
     return Report(tuple(read.findings))
 
@@ -276,3 +279,18 @@ def _check_angles(facts: Sequence[_Facts]) -> Iterator[Finding]:
         distance = stats.kstest(values, stats.uniform(-1, 2).cdf).statistic
         limit = float(stats.kstwo.isf(SIGNIFICANCE / 3, num))
         yield judge(name, distance, where, f"{num} angles", limit=limit)
+
+
+def _pool_photometry(findings: Sequence[Finding]) -> Iterator[Finding]:
+    """What all pairs of the set say together: a wrong convention is the same in each of them."""
+    for name in ("photometric_shift", "photometric_offset"):
+        found = [(f.estimate, f.limit) for f in findings if f.check == name]
+        measured = [(e, limit) for e, limit in found if e and np.isfinite(e.std_error).all()]
+        estimates = [e for e, _ in measured]
+        if len(estimates) < NUM_POOLED_MIN:
+            why = f"{len(estimates)} pairs with texture, {NUM_POOLED_MIN} needed"
+            yield not_applicable(name, "set", why)
+        else:
+            limit = max(limit for _, limit in measured)
+            where = f"set, {len(estimates)} pairs"
+            yield judge_estimate(name, pool(estimates), where, limit)

@@ -11,7 +11,7 @@ from simgen.geometry import Array, rotation_from_vector, transform
 from simgen.recipe import SceneSpec
 from simgen.roads import Network, at_station, stations
 from simgen.scene import World
-from simgen.signs import sign_atlas
+
 from simgen.site import Site
 
 FRAME_STEP_M = 3.0
@@ -45,6 +45,7 @@ def drive(spec: SceneSpec, step: int) -> Drive:
 def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     """Everything that can be seen."""
     site = Site(drive.network)
+    from simgen.signs import sign_atlas  # TEMP
     atlas = sign_atlas(rng=spec.stream("signs"))
     paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
     half = layout.FAR_INNER_M

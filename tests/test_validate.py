@@ -16,13 +16,28 @@ from scipy.spatial.transform import Rotation
 
 from simgen import schema
 from simgen.errors import UserError
-from simgen.findings import CHECKS, Finding, Report
-from simgen.validate import _check_angles, _Facts, check_frame, validate_folder
+from simgen.findings import CHECKS, Finding, Report, judge_estimate
+from simgen.photometric import Estimate, pool
+from simgen.validate import (
+    _check_angles,
+    _Facts,
+    _pool_photometry,
+    check_frame,
+    validate_folder,
+)
 
 Frame = dict[str, Any]
 PAIRS = np.array([[0, 1], [1, 2], [0, 2]], np.uint8)
-PHOTOMETRIC = {"photometric_shift", "photometric_match"}
-SET_CHECKS = {"readable", "sha256", "attributes", "frames", "splits", "perturbation_uniform"}
+PHOTOMETRIC = {"photometric_shift", "photometric_offset", "photometric_match"}
+SET_CHECKS = {
+    "readable",
+    "sha256",
+    "attributes",
+    "frames",
+    "splits",
+    "perturbation_uniform",
+    "photometric_offset",
+}
 R_WORLD_FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera looking along world x
 
 
@@ -220,8 +235,8 @@ def frame(clean: Frame) -> Frame:
 
 def test_a_correct_frame_passes_every_check(clean: Frame) -> None:
     findings = check(clean, thorough=True)
-    assert [f for f in findings if not f.passed or not f.applies] == []
-    assert {f.check for f in findings} == set(CHECKS) - SET_CHECKS
+    assert [f for f in findings if not f.passed] == []
+    assert {f.check for f in findings if f.applies} == set(CHECKS) - SET_CHECKS
 
 
 def test_a_correct_frame_stays_far_below_the_limits(clean: Frame, clean_pair: Frame) -> None:
@@ -294,11 +309,22 @@ def test_half_a_pixel_in_one_principal_point_fails(pair: Frame) -> None:
     assert "photometric_shift" in failed(pair | {"flow": add_flow(pair)["flow"][:1]}, thorough=True)
 
 
-def test_half_a_pixel_between_images_and_geometry_fails(pair: Frame) -> None:
-    """Ground truth at pixel corners: the same error in both cameras, seen on the road alone."""
+def offset(frame: Frame) -> Estimate:
+    (finding,) = [f for f in check(frame, thorough=True) if f.check == "photometric_offset"]
+    return finding.estimate
+
+
+@pytest.mark.parametrize("half", [-0.5, 0.5])
+def test_half_a_pixel_between_images_and_geometry_fails(pair: Frame, half: float) -> None:
+    """Ground truth at pixel corners: both images agree, and only the slope of the road tells."""
+    assert offset(pair).uv[1] == pytest.approx(0, abs=0.02)
     for c in (0, 1):
-        pair["image"][c] = photograph(pair, c, 0.5, 0.5)
-    assert failed(pair, thorough=True) == {"photometric_shift"}
+        pair["image"][c] = photograph(pair, c, half, half)
+    measured = offset(pair)
+    assert measured.uv[1] == pytest.approx(half, abs=0.02)
+    finding = judge_estimate("photometric_offset", measured, "set", limit=0.2)
+    assert finding.applies
+    assert not finding.passed
 
 
 def test_an_image_shift_is_measured_to_a_hundredth_of_a_pixel(pair: Frame) -> None:
@@ -663,3 +689,34 @@ def test_the_limit_on_uniformity_is_the_quantile_of_kolmogorov() -> None:
 
 def test_few_angles_are_not_judged() -> None:
     assert not any(f.applies for f in angle_findings(np.zeros((9, 3, 3))))
+
+
+# --- photometry of the set ----------------------------------------------------------------------
+
+
+def estimate_finding(du: float, dv: float, std_error: float) -> Finding:
+    estimate = Estimate(np.array([du, dv]), np.full(2, std_error))
+    return judge_estimate("photometric_shift", estimate, "a pair", 0.05)
+
+
+def test_a_pooled_estimate_is_more_certain_than_its_parts() -> None:
+    rng = np.random.default_rng(3)
+    noisy = [estimate_finding(0.01 + a, 0.09 + b, 0.04) for a, b in rng.normal(0, 0.04, (400, 2))]
+    assert not any(f.applies for f in noisy)
+    shift, offset = _pool_photometry(noisy)
+    assert shift.estimate.uv == pytest.approx([0.01, 0.09], abs=0.008)
+    assert shift.estimate.std_error == pytest.approx(0.002, rel=0.2)
+    assert (shift.applies, shift.passed, shift.where) == (True, False, "set, 400 pairs")
+    assert not offset.applies
+
+
+def test_uncertain_components_are_not_judged() -> None:
+    estimate = Estimate(np.array([0.7, 0.01]), np.array([0.3, 0.001]))
+    finding = judge_estimate("photometric_shift", estimate, "a pair", 0.05)
+    assert finding.value == pytest.approx(0.01)
+    assert finding.detail == "+0.7000 ± 0.3000, +0.0100 ± 0.0010 px"
+
+
+def test_pooling_weighs_by_certainty() -> None:
+    sure, unsure = (Estimate(np.full(2, v), np.full(2, e)) for v, e in ((0.0, 0.1), (1.0, 0.2)))
+    assert pool([sure, unsure]).uv == pytest.approx([0.2, 0.2])

@@ -1,0 +1,485 @@
+"""From a job to a folder of shards: planning, workers, resuming.
+
+Which frames a set has, and which shard each belongs to, follows from their numbers alone. Workers
+are spawned processes that render one frame at a time into ``.frames/``; the parent assembles
+shards. Running the same command again goes on with whatever is missing.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pebble import ProcessExpired, ProcessPool
+
+from simgen import __version__
+from simgen.errors import UserError
+from simgen.schema import SCHEMA_VERSION
+from simgen.shards import MANIFEST, Manifest, ShardEntry
+from simgen.store import Source, assemble, is_finished_frame, row_of
+
+FRAMES_DIR = ".frames"
+LOCK = ".lock"
+LOG = "render.jsonl"
+MAX_ATTEMPTS = 3
+TEST_EVERY = 10
+"""A scene whose number is divisible by this is a test scene."""
+
+
+class FrameRejected(Exception):
+    """A rendered frame failed its check."""
+
+    def __init__(self, reasons: Sequence[str]) -> None:
+        super().__init__("; ".join(reasons))
+        self.reasons = list(reasons)
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """One attempt at one frame, as it is sent to a worker."""
+
+    job: Any
+    index: int
+    attempt: int
+    path: Path
+    """where the finished frame goes"""
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What a worker tells of a finished frame."""
+
+    index: int
+    attempt: int
+    seconds: dict[str, float]
+    rss_bytes: int
+    pid: int
+
+
+RenderOne = Callable[[FrameTask], FrameResult]
+
+
+# --- planning ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ShardPlan:
+    """A shard and the frames that belong into it."""
+
+    name: str
+    split: str
+    frames: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class SetPlan:
+    """All frames of a set, shard by shard."""
+
+    num_frames: int
+    """rig frames of both splits"""
+    shards: tuple[ShardPlan, ...]
+
+    @property
+    def frames(self) -> list[int]:
+        """Frame indices to render, ascending."""
+        return sorted(i for shard in self.shards for i in shard.frames)
+
+
+def split_of(scene_index: int) -> str:
+    """The side of the split that a scene is on, for ever."""
+    return "test" if scene_index % TEST_EVERY == 0 else "train"
+
+
+def plan(
+    num_pairs: int,
+    pairs_per_frame: int,
+    *,
+    frames_per_scene: int,
+    frames_per_shard: int,
+    split: str,
+) -> SetPlan:
+    """Lays a set out; ``num_pairs`` is rounded up to whole rig frames."""
+    num_frames = -(-num_pairs // pairs_per_frame)
+    shards = []
+    for side in ("train", "test"):
+        frames = [i for i in range(num_frames) if split_of(i // frames_per_scene) == side]
+        if split in ("all", side):
+            for k in range(0, len(frames), frames_per_shard):
+                name = f"{side}-{k // frames_per_shard:05d}.h5"
+                shards.append(ShardPlan(name, side, tuple(frames[k : k + frames_per_shard])))
+    return SetPlan(num_frames, tuple(shards))
+
+
+# --- the folder ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SetFolder:
+    """A set's place on disk."""
+
+    path: Path
+
+    def frame_path(self, index: int) -> Path:
+        """Where frame ``index`` waits for its shard."""
+        return self.path / FRAMES_DIR / f"{index:08d}.h5"
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Makes the folder ours; UserError if it cannot be written, or another run has it."""
+        try:
+            (self.path / FRAMES_DIR).mkdir(parents=True, exist_ok=True)
+            lock = open(self.path / LOCK, "w")  # noqa: SIM115
+        except OSError as error:
+            raise UserError(
+                f"{self.path}: cannot write here ({error.strerror}). Choose another folder with "
+                "--out, or mend its permissions."
+            ) from error
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise UserError(
+                    f"{self.path}: another simgen is rendering into this folder. Wait for it, stop "
+                    "it, or choose another --out."
+                ) from error
+            yield
+
+    def check_is_ours(self) -> None:
+        """UserError if the folder holds files but no set."""
+        if not self.path.is_dir() or (self.path / MANIFEST).exists():
+            return
+        foreign = sorted(p.name for p in self.path.iterdir() if p.name not in (FRAMES_DIR, LOCK))
+        if foreign:
+            raise UserError(
+                f"{self.path}: holds files that simgen did not write ({', '.join(foreign[:3])}"
+                f"{', …' if len(foreign) > 3 else ''}) and no {MANIFEST}. Choose an empty or new "
+                "folder with --out."
+            )
+
+    def open_manifest(self, config: dict[str, Any], frames_per_shard: int, n: int) -> Manifest:
+        """The manifest to go on with; UserError if the folder was made with other options."""
+        if not (self.path / MANIFEST).exists():
+            fresh = Manifest(SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n)
+            fresh.save(self.path)
+            return fresh
+        found = Manifest.load(self.path)
+        differences = _differences({**found.config, "frames_per_shard": found.frames_per_shard},
+                                   {**config, "frames_per_shard": frames_per_shard})  # fmt: skip
+        if differences:
+            raise UserError(
+                f"{self.path}: was rendered with other options: {'; '.join(differences)}. Ask for "
+                "the same, or choose another folder with --out."
+            )
+        return replace(found, num_pairs_asked=max(n, found.num_pairs_asked))
+
+    def clean(self, done: set[int]) -> None:
+        """Removes half-written files, and frames that are already in a shard."""
+        for path in (self.path / FRAMES_DIR).iterdir():
+            if path.name.endswith(".tmp") or (path.stem.isdigit() and int(path.stem) in done):
+                path.unlink()
+        for path in self.path.glob(".*.tmp"):
+            path.unlink()
+
+
+def _differences(found: Any, asked: Any, key: str = "") -> list[str]:
+    """What differs between two plain values, key by key."""
+    if isinstance(found, dict) and isinstance(asked, dict):
+        return [
+            text
+            for k in sorted({*found, *asked})
+            for text in _differences(found.get(k), asked.get(k), f"{key}.{k}" if key else k)
+        ]
+    if isinstance(asked, tuple):
+        asked = list(asked)
+    if found == asked:
+        return []
+    if found is None or asked is None:
+        return [f"{key}: {'not in the folder' if found is None else 'only in the folder'}"]
+    return [f"{key}: the folder has {found}, you asked for {asked}"]
+
+
+def check_disk(path: Path, bytes_needed: float, *, force: bool) -> None:
+    """UserError if the set will not fit."""
+    existing = next(p for p in (path, *path.absolute().parents) if p.exists())
+    free = shutil.disk_usage(existing).free
+    if bytes_needed > free and not force:
+        raise UserError(
+            f"{path}: the set needs about {bytes_needed / 1e9:.1f} GB, but only {free / 1e9:.1f} GB "
+            "are free. Free some space, choose another disk with --out, a smaller --n or --size, "
+            "--no-flow or --compression zstd, or start anyway with --force."
+        )
+
+
+# --- rendering -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Pool:
+    """How frames are rendered."""
+
+    render_one: RenderOne
+    initializer: Callable[..., None]
+    initargs: tuple[Any, ...] = ()
+    workers: int = 1
+    recycle: int = 50
+
+
+@dataclass
+class Progress:
+    """What happens, for whoever shows it."""
+
+    started: Callable[[int, int], None] = lambda done, total: None
+    frame_done: Callable[[FrameResult], None] = lambda result: None
+    note: Callable[[str], None] = lambda text: None
+
+
+@dataclass
+class _State:
+    """A set under work."""
+
+    folder: SetFolder
+    plan: SetPlan
+    manifest: Manifest
+    attributes: dict[str, Any]
+    compression: str
+    attempts: dict[int, int] = field(default_factory=dict)
+    deaths: dict[int, int] = field(default_factory=dict)
+
+    def in_shards(self) -> dict[int, str]:
+        """Frames that are in a finished shard, and which."""
+        return {i: s.name for s in self.manifest.shards for i in s.frames}
+
+    def save(self, **changes: Any) -> None:
+        self.manifest = replace(self.manifest, **changes)
+        self.manifest.save(self.folder.path)
+
+
+def render_set(
+    job: Any,
+    set_plan: SetPlan,
+    folder: SetFolder,
+    manifest: Manifest,
+    pool: Pool,
+    *,
+    attributes: dict[str, Any],
+    compression: str,
+    progress: Progress | None = None,
+) -> Manifest:
+    """Renders what is missing and assembles all shards; the folder must be locked.
+
+    Returns the final manifest, whose ``failures`` lists frames that could not be made. Raises
+    KeyboardInterrupt or SystemExit when it is told to stop: everything finished is kept.
+    """
+    progress = progress or Progress()
+    state = _State(folder, set_plan, manifest, attributes, compression)
+    _drop_broken_shards(state, progress)
+    folder.clean(set(state.in_shards()))
+    state.save(failures=[])
+    done = set(state.in_shards())
+    finished = {i for i in set_plan.frames
+                if i in done or is_finished_frame(folder.frame_path(i))}  # fmt: skip
+    _assemble_complete(state, finished)
+    todo = [i for i in set_plan.frames if i not in finished]
+    progress.started(len(finished), len(set_plan.frames))
+    if todo:
+        with _stoppable():
+            _render(job, todo, state, pool, finished, progress)
+    _assemble_complete(state, finished, partial=True)
+    return state.manifest
+
+
+def _drop_broken_shards(state: _State, progress: Progress) -> None:
+    """Forgets shards that are gone or of another size than written: their frames are redone."""
+    kept = []
+    for shard in state.manifest.shards:
+        path = state.folder.path / shard.name
+        if path.exists() and (path.stat().st_size == shard.bytes or _holds(path, shard.frames)):
+            kept.append(shard)
+        else:
+            progress.note(f"{path} is missing or damaged: its frames are rendered again.")
+            path.unlink(missing_ok=True)
+    state.manifest = replace(state.manifest, shards=kept)
+
+
+def _holds(path: Path, frames: Sequence[int]) -> bool:
+    """Whether a shard can be read and has the frames (it was replaced by a longer one)."""
+    try:
+        return all(row_of(path, i) is not None for i in frames)
+    except UserError:
+        return False
+
+
+def _render(
+    job: Any, todo: Sequence[int], state: _State, pool: Pool, finished: set[int], progress: Progress
+) -> None:
+    queue = list(reversed(todo))
+    running: dict[Any, FrameTask] = {}
+    processes = ProcessPool(
+        max_workers=pool.workers,
+        max_tasks=pool.recycle,
+        initializer=_start_worker,
+        initargs=(pool.initializer, pool.initargs),
+        context=multiprocessing.get_context("spawn"),
+    )
+    try:
+        while queue or running:
+            while queue and len(running) < pool.workers:
+                index = queue.pop()
+                task = FrameTask(job, index, state.attempts.get(index, 0),
+                                 state.folder.frame_path(index))  # fmt: skip
+                running[processes.schedule(pool.render_one, args=[task])] = task
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                task = running.pop(future)
+                if _settle(future, task, state, progress):
+                    finished.add(task.index)
+                elif not any(f["frame_index"] == task.index for f in state.manifest.failures):
+                    queue.append(task.index)
+            _assemble_complete(state, finished)
+    finally:
+        processes.stop()
+        processes.join()
+
+
+def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> bool:
+    """Takes a worker's answer; True if the frame is done."""
+    try:
+        result: FrameResult = future.result()
+    except ProcessExpired as death:
+        _worker_died(death, task, state, progress)
+        return False
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise UserError(
+                f"{state.folder.path}: the disk is full. All finished frames are kept; free some "
+                "space and run the same command again."
+            ) from error
+        _redraw([f"{type(error).__name__}: {error}"], task, state, progress)
+        return False
+    except UserError:
+        raise
+    except FrameRejected as rejection:
+        _redraw(rejection.reasons, task, state, progress)
+        return False
+    except Exception as error:  # one scene that cannot be built must not end a long run
+        _redraw([f"{type(error).__name__}: {error}"], task, state, progress)
+        return False
+    _log(state, {**asdict(result), "host": socket.gethostname(), "time": time.time()})
+    progress.frame_done(result)
+    return True
+
+
+def _redraw(reasons: Sequence[str], task: FrameTask, state: _State, progress: Progress) -> None:
+    """Counts a failed attempt; the next one is drawn from (seed, i, attempt + 1)."""
+    record = {"frame_index": task.index, "attempt": task.attempt, "reasons": list(reasons),
+              "seed": state.manifest.dataset_seed}  # fmt: skip
+    _log(state, {**record, "time": time.time()})
+    if task.attempt + 1 >= MAX_ATTEMPTS:
+        progress.note(f"Frame {task.index} failed {MAX_ATTEMPTS} times: {'; '.join(reasons)}")
+        state.save(failures=[*state.manifest.failures, record])
+    else:
+        progress.note(f"Frame {task.index} is drawn again: {'; '.join(reasons)}")
+        state.attempts[task.index] = task.attempt + 1
+        state.save(redrawn=[*state.manifest.redrawn, record])
+
+
+def _worker_died(death: Exception, task: FrameTask, state: _State, progress: Progress) -> None:
+    deaths = state.deaths[task.index] = state.deaths.get(task.index, 0) + 1
+    progress.note(f"The worker of frame {task.index} died ({death}); the frame is redone.")
+    _log(state, {"frame_index": task.index, "worker_died": str(death), "time": time.time()})
+    if deaths >= MAX_ATTEMPTS:
+        reason = f"the worker process died {deaths} times on this frame (out of memory?)"
+        record = {"frame_index": task.index, "attempt": task.attempt, "reasons": [reason],
+                  "seed": state.manifest.dataset_seed}  # fmt: skip
+        state.save(failures=[*state.manifest.failures, record])
+
+
+def _log(state: _State, record: dict[str, Any]) -> None:
+    with open(state.folder.path / LOG, "a", encoding="utf-8") as file:
+        file.write(json.dumps(record) + "\n")
+
+
+def _assemble_complete(state: _State, finished: set[int], partial: bool = False) -> None:
+    """Assembles every shard whose frames are all there (or, at the end, what is there)."""
+    in_shards = state.in_shards()
+    failed = {f["frame_index"] for f in state.manifest.failures}
+    for shard in state.plan.shards:
+        ready = [i for i in shard.frames if i in finished]
+        complete = len(ready) == len(shard.frames) or (
+            partial and all(i in finished or i in failed for i in shard.frames)
+        )
+        if ready and (complete or partial) and any(i not in in_shards for i in ready):
+            _assemble_one(state, shard, ready)
+
+
+def _assemble_one(state: _State, shard: ShardPlan, ready: Sequence[int]) -> None:
+    path = state.folder.path / shard.name
+    sources = [_source(state, path, i) for i in ready]
+    entry = assemble(
+        path, sources, attributes=state.attributes, split=shard.split, compression=state.compression
+    )
+    others = [s for s in state.manifest.shards if s.name != shard.name]
+    state.save(shards=_in_order(state.plan, [*others, entry]))
+    for i in ready:
+        state.folder.frame_path(i).unlink(missing_ok=True)
+
+
+def _in_order(set_plan: SetPlan, entries: Sequence[ShardEntry]) -> list[ShardEntry]:
+    return sorted(entries, key=lambda e: (e.split != "train", e.name))
+
+
+def _source(state: _State, shard_path: Path, index: int) -> Source:
+    waiting = state.folder.frame_path(index)
+    if waiting.exists():
+        return waiting, 0
+    row = row_of(shard_path, index)
+    if row is None:
+        raise UserError(f"{shard_path}: frame {index} is gone. Run the same command again.")
+    return shard_path, row
+
+
+# --- processes -----------------------------------------------------------------------------------
+
+
+def _start_worker(initializer: Callable[..., None], initargs: tuple[Any, ...]) -> None:
+    """Ctrl-C is the parent's business; a worker dies with its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _die_with_parent()
+    initializer(*initargs)
+
+
+def _die_with_parent() -> None:
+    """Linux only: elsewhere an orphan finishes its frame and ends."""
+    import ctypes
+
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):
+        pr_set_pdeathsig = 1
+        libc.prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Turns SIGTERM into SystemExit(143) for the time of rendering."""
+
+    def stop(signum: int, frame: object) -> None:
+        raise SystemExit(128 + signum)
+
+    previous = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

@@ -1,0 +1,218 @@
+"""``simgen render``: says what it will do, does it, says what came of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress as Bar,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from simgen import __version__, engine, run
+from simgen.config import Job, RenderOptions, resolve
+from simgen.schema import SCHEMA_VERSION
+from simgen.shards import Manifest
+
+UNITS = "metres, pixels, degrees where a name ends in _deg"
+CONVENTIONS = (
+    "Camera axes: x right, y down, z forward. World: x east, y north, z up. Pixel centre of the "
+    "top-left pixel: (0, 0). T_world_cam takes camera to world. flow: uv_right = uv_left + flow. "
+    "See CONVENTIONS.md."
+)
+
+# Compressed bytes per pixel, and seconds, as measured in benchmarks/ with the default options on
+# two cores of an x86-64 server: the estimate before a set has timings of its own.
+_BYTES_PER_CAMERA_PIXEL = 3.6
+_BYTES_PER_PAIR_PIXEL = 4.0
+_SECONDS_FIXED = 5.0
+_SECONDS_PER_CAMERA_MEGAPIXEL = 1.6
+_SECONDS_PER_MEGASAMPLE = 1.4
+_SCALAR_FACTOR = 4.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a set will cost."""
+
+    bytes_per_frame: float
+    seconds_per_frame: float
+
+
+def render(options: RenderOptions) -> int:
+    """The command; returns its exit status."""
+    console = Console(stderr=True, highlight=False)
+    chosen = engine.choose(options.variant)
+    job = resolve(options, chosen.variant)
+    if chosen.notice:
+        console.print(chosen.notice)
+    set_plan = run.plan(
+        options.n,
+        len(job.rig.pairs),
+        frames_per_scene=job.frames_per_scene,
+        frames_per_shard=options.frames_per_shard,
+        split=options.split,
+    )
+    folder = run.SetFolder(options.out)
+    folder.check_is_ours()
+    estimate = _estimate(job, options.out)
+    _announce(console, job, options, set_plan, estimate)
+    missing = len(set_plan.frames) - _num_done(options.out)
+    run.check_disk(options.out, missing * estimate.bytes_per_frame, force=options.force)
+    with folder.locked():
+        manifest = folder.open_manifest(job.content(), options.frames_per_shard, options.n)
+        threads = max(1, (os.cpu_count() or 1) // options.workers)
+        pool = run.Pool(_render_one(), _start_worker(), (chosen, threads), options.workers,
+                        options.recycle)  # fmt: skip
+        with _Display(console, len(job.rig.pairs)) as display:
+            manifest = run.render_set(
+                job, set_plan, folder, manifest, pool, attributes=_attributes(job),
+                compression=options.compression, progress=display.hooks,
+            )  # fmt: skip
+    return _conclude(console, manifest, options.out)
+
+
+def _render_one() -> run.RenderOne:
+    from simgen.produce import render_frame_file
+
+    return render_frame_file
+
+
+def _start_worker() -> object:
+    from simgen.produce import start
+
+    return start
+
+
+def _attributes(job: Job) -> dict[str, object]:
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "units": UNITS,
+        "conventions": CONVENTIONS,
+        "dataset_seed": job.seed,
+        "config": json.dumps(job.content(), sort_keys=True),
+        "package_version": __version__,
+    }
+
+
+# --- saying what will happen ---------------------------------------------------------------------
+
+
+def _estimate(job: Job, folder: Path) -> Estimate:
+    """From the folder's own timings if it has any, else from the benchmark's."""
+    megapixels = job.wh[0] * job.wh[1] / 1e6
+    cameras, pairs = len(job.rig.camera_y_m), len(job.rig.pairs)
+    flow_bytes = _BYTES_PER_PAIR_PIXEL * pairs if job.flow else 0.1 * pairs
+    size = megapixels * 1e6 * (_BYTES_PER_CAMERA_PIXEL * cameras + flow_bytes)
+    seconds = _SECONDS_FIXED + cameras * megapixels * (
+        _SECONDS_PER_CAMERA_MEGAPIXEL + _SECONDS_PER_MEGASAMPLE * job.spp
+    )
+    if job.variant == "scalar_rgb":
+        seconds *= _SCALAR_FACTOR
+    return Estimate(size, _measured_seconds(folder) or seconds)
+
+
+def _measured_seconds(folder: Path) -> float | None:
+    try:
+        lines = (folder / run.LOG).read_text(encoding="utf-8").splitlines()
+        spent = [sum(r["seconds"].values()) for r in map(json.loads, lines) if "seconds" in r]
+    except (OSError, ValueError):
+        return None
+    return float(np.median(spent)) if spent else None
+
+
+def _num_done(folder: Path) -> int:
+    """Frames that are already there, in shards or waiting for one."""
+    in_shards = 0
+    if (folder / run.MANIFEST).exists():
+        in_shards = sum(len(s.frames) for s in Manifest.load(folder).shards)
+    return in_shards + len(list(folder.glob(f"{run.FRAMES_DIR}/*.h5")))
+
+
+def _announce(
+    console: Console, job: Job, options: RenderOptions, plan: run.SetPlan, estimate: Estimate
+) -> None:
+    num_pairs = len(job.rig.pairs)
+    num = len(plan.frames)
+    if plan.num_frames * num_pairs != options.n:
+        console.print(
+            f"--n {options.n} is rounded up to {plan.num_frames * num_pairs} pairs: a rig frame "
+            f"has {num_pairs}."
+        )
+    hours = num * estimate.seconds_per_frame / 3600 / options.workers**0.15
+    time_text = f"{hours:.1f} h" if hours >= 1 else f"{max(1, round(hours * 60))} min"
+    console.print(
+        f"{num} rig frames, {num * num_pairs} pairs, {job.wh[0]}x{job.wh[1]}, seed {job.seed}, "
+        f"{job.variant}: about {time_text} and {num * estimate.bytes_per_frame / 1e9:.2g} GB "
+        f"in {options.out}"
+    )
+
+
+# --- saying what happens -------------------------------------------------------------------------
+
+
+class _Display:
+    """A progress bar on a terminal, a line per frame elsewhere."""
+
+    def __init__(self, console: Console, pairs_per_frame: int) -> None:
+        self.console, self.pairs = console, pairs_per_frame
+        self.bar = Bar(
+            TextColumn("rig frames"), BarColumn(), MofNCompleteColumn(),
+            TextColumn("{task.fields[pairs]} pairs"),
+            TextColumn("{task.fields[pace]}"), TimeRemainingColumn(elapsed_when_finished=True),
+            console=console, disable=not console.is_terminal,
+        )  # fmt: skip
+        self.hooks = run.Progress(self._started, self._frame_done, self._note)
+        self.total = self.done = self.first = 0
+        self.start = time.monotonic()
+
+    def __enter__(self) -> _Display:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def _started(self, done: int, total: int) -> None:
+        self.done, self.first, self.total = done, done, total
+        self.start = time.monotonic()
+        if done:
+            self.console.print(f"Going on: {done} of {total} rig frames are there already.")
+        self.task = self.bar.add_task("", total=total, completed=done, pairs=done * self.pairs, pace="")
+
+    def _frame_done(self, result: run.FrameResult) -> None:
+        self.done += 1
+        pace = (time.monotonic() - self.start) / (self.done - self.first)
+        self.bar.update(self.task, completed=self.done, pairs=self.done * self.pairs,
+                        pace=f"{pace:.1f} s/frame")  # fmt: skip
+        if not self.console.is_terminal:
+            left = (self.total - self.done) * pace / 60
+            self.console.print(
+                f"frame {result.index}: {self.done} of {self.total}, {self.done * self.pairs} pairs, "
+                f"{pace:.1f} s/frame, {left:.0f} min left"
+            )
+
+    def _note(self, text: str) -> None:
+        self.console.print(text)
+
+
+def _conclude(console: Console, manifest: Manifest, folder: Path) -> int:
+    num = sum(len(s.frames) for s in manifest.shards)
+    console.print(f"{num} rig frames in {len(manifest.shards)} shards: {folder}")
+    if not manifest.failures:
+        return 0
+    for failure in manifest.failures:
+        reasons = "; ".join(failure["reasons"])
+        console.print(f"Frame {failure['frame_index']} failed: {reasons}", style="red")
+    print(f"simgen: {len(manifest.failures)} frames could not be made", file=sys.stderr)
+    return 1

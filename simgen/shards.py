@@ -1,0 +1,267 @@
+"""Reading a set: the manifest, and frames that load what is asked for.
+
+    frames = ShardSet("shards")          # a folder with manifest.json
+    frame = frames[0]                    # cheap: nothing is read yet
+    frame.image                          # (C, H, W, 3) uint8, read now
+    frame.flow(0)                        # (H, W, 2) float32 of pair 0, stored or derived: same bits
+
+Imports neither Mitsuba nor the generator. Files are opened on first use in each process, so a set
+may be handed to the workers of a data loader.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from simgen.errors import UserError
+from simgen.flowfield import flow_from_depth
+from simgen.schema import FIELDS, SCHEMA_VERSION
+
+MANIFEST = "manifest.json"
+ZSTD_FILTER_ID = 32015
+
+
+@dataclass(frozen=True)
+class ShardEntry:
+    """One finished file of a set."""
+
+    name: str
+    split: str
+    frames: list[int]
+    """frame indices, in the order of the rows"""
+    bytes: int
+    sha256: str
+    """of the file"""
+    content: list[str]
+    """sha256 of each frame's decoded arrays and spec"""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """manifest.json: what a set holds."""
+
+    schema_version: int
+    dataset_seed: int
+    package_version: str
+    config: dict[str, Any]
+    frames_per_shard: int
+    num_pairs_asked: int
+    shards: list[ShardEntry] = field(default_factory=list)
+    redrawn: list[dict[str, Any]] = field(default_factory=list)
+    """frames that failed a check and were drawn again: frame, attempt, reasons"""
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    """frames that failed three times: frame, seed, reasons"""
+
+    def save(self, folder: Path) -> None:
+        """Writes manifest.json atomically."""
+        write_atomically(folder / MANIFEST, json.dumps(asdict(self), indent=1).encode())
+
+    @classmethod
+    def load(cls, folder: Path) -> Manifest:
+        """Reads a folder's manifest; UserError if there is none or it is of another schema."""
+        path = Path(folder) / MANIFEST
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError as error:
+            raise UserError(
+                f"{folder}: no {MANIFEST} here. Expected the folder of a set that "
+                '"simgen render --out FOLDER" has written.'
+            ) from error
+        except (OSError, ValueError) as error:
+            raise UserError(f"{path}: cannot be read as JSON ({error}).") from error
+        if not isinstance(data, dict) or data.get("schema_version") != SCHEMA_VERSION:
+            found = data.get("schema_version") if isinstance(data, dict) else None
+            raise UserError(
+                f"{path}: schema {found}, but this version reads schema {SCHEMA_VERSION}. Install "
+                "the simgen that wrote it, or render the set again."
+            )
+        try:
+            return cls(**{**data, "shards": [ShardEntry(**s) for s in data["shards"]]})
+        except (KeyError, TypeError) as error:
+            raise UserError(f"{path}: not a manifest of simgen ({error}).") from error
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """All of the file or nothing, also when the power fails."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def open_shard(path: Path) -> h5py.File:
+    """Opens a shard for reading; UserError if it is not one, or of another schema."""
+    try:
+        file = h5py.File(path, "r")
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: no such file, though the manifest lists it.") from error
+    except OSError as error:
+        raise UserError(
+            f"{path}: not a readable HDF5 file ({error}): truncated or foreign. Delete it and run "
+            "the same render command again: it makes the missing frames anew."
+        ) from error
+    version = file.attrs.get("schema_version")
+    if version is None or "frame_index" not in file:
+        file.close()
+        raise UserError(f"{path}: an HDF5 file, but no shard of simgen (no schema_version).")
+    if int(version) != SCHEMA_VERSION:
+        file.close()
+        raise UserError(
+            f"{path}: schema {int(version)}, but this version reads schema {SCHEMA_VERSION}. "
+            "Install the simgen that wrote it, or render the set again."
+        )
+    _require_filters(file, path)
+    return file
+
+
+def _require_filters(file: h5py.File, path: Path) -> None:
+    filters = file["image"].id.get_create_plist()
+    ids = {filters.get_filter(i)[0] for i in range(filters.get_nfilters())}
+    if ZSTD_FILTER_ID in ids:
+        load_zstd(f"{path} is compressed with zstd")
+
+
+def load_zstd(why: str) -> Any:
+    """Registers hdf5plugin's filters; UserError if it is not installed."""
+    try:
+        import hdf5plugin
+    except ImportError as error:
+        raise UserError(
+            f"{why}, which needs the package hdf5plugin: pip install hdf5plugin (or render with "
+            "--compression gzip, which every HDF5 reader has)."
+        ) from error
+    return hdf5plugin
+
+
+class Frame:
+    """One rig frame; every attribute is read from the file when it is asked for.
+
+    Per-pixel fields of one camera or pair are cheaper by :meth:`read`: ``frame.read("image", 0)``.
+    """
+
+    def __init__(self, files: _Files, path: Path, row: int) -> None:
+        self._files, self._path, self._row = files, path, row
+
+    def read(self, name: str, which: int | None = None) -> NDArray[Any]:
+        """A field of the schema, whole or only one camera's (or pair's) slice of it."""
+        dataset = self._file[name]
+        return np.asarray(dataset[self._row] if which is None else dataset[self._row, which])
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        if name not in FIELDS:
+            raise AttributeError(f"a frame has no field {name!r}; known: {', '.join(FIELDS)}")
+        return self.read(name)
+
+    @property
+    def _file(self) -> h5py.File:
+        return self._files.get(self._path)
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """What was drawn, and how it was rendered."""
+        return dict(json.loads(self._file["spec"].asstr()[self._row]))
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Camera indices (left, right)."""
+        return [(int(a), int(b)) for a, b in self._file["pairs"][:]]
+
+    def flow(self, pair: int) -> NDArray[np.float32]:
+        """Left to right flow (H, W, 2) [px] on the left pixels: stored, or derived bit for bit."""
+        if "flow" in self._file:
+            return self.read("flow", pair)
+        left, right = self.pairs[pair]
+        return self._derived(left, right)
+
+    def reverse_flow(self, pair: int) -> NDArray[np.float32]:
+        """Right to left flow (H, W, 2) [px] on the right pixels, derived from the right depth."""
+        left, right = self.pairs[pair]
+        return self._derived(right, left)
+
+    def _derived(self, source: int, target: int) -> NDArray[np.float32]:
+        K, T = self.K, self.T_world_cam
+        T_target_source = rigid_inverse(T[target]) @ T[source]
+        return flow_from_depth(self.read("depth", source), K[source], K[target], T_target_source)
+
+
+def rigid_inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``T_a_b`` of a rigid (4, 4) ``T_b_a``."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse
+
+
+class _Files:
+    """Open files of this process, by path."""
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[int, Path], h5py.File] = {}
+
+    def get(self, path: Path) -> h5py.File:
+        key = (os.getpid(), path)
+        if key not in self._open:
+            self._open[key] = open_shard(path)
+        return self._open[key]
+
+    def close(self) -> None:
+        for (pid, _), file in self._open.items():
+            if pid == os.getpid():
+                file.close()
+        self._open.clear()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_open": {}}
+
+
+class ShardSet:
+    """All frames of a folder, or of one split of it, by frame index."""
+
+    def __init__(self, folder: str | Path, split: str | None = None) -> None:
+        self.folder = Path(folder)
+        self.manifest = Manifest.load(self.folder)
+        self._files = _Files()
+        places = [
+            (index, self.folder / shard.name, row)
+            for shard in self.manifest.shards
+            if split in (None, shard.split)
+            for row, index in enumerate(shard.frames)
+        ]
+        self._places = {index: (path, row) for index, path, row in sorted(places)}
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, position: int) -> Frame:
+        return self.frame(self.indices[position])
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(i) for i in self.indices)
+
+    @property
+    def indices(self) -> list[int]:
+        """Frame indices, ascending."""
+        return list(self._places)
+
+    def frame(self, index: int) -> Frame:
+        """A frame by its index in the set; UserError if the set does not have it."""
+        if index not in self._places:
+            have = f"{len(self)} frames, {min(self._places)} to {max(self._places)}" if self else "none"
+            raise UserError(f"{self.folder}: no frame {index}; it has {have}.")
+        path, row = self._places[index]
+        return Frame(self._files, path, row)
+
+    def close(self) -> None:
+        """Closes the files of this process."""
+        self._files.close()

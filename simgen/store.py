@@ -1,0 +1,235 @@
+"""Writing: finished frames as small files of their own, and shards assembled from them.
+
+A frame that was rendered is at once a file under ``.frames/``, written to a temporary name and
+renamed, so that nothing which ends the process can cost more than the frame in work. When all
+frames of a shard are there, their compressed chunks are copied into it unchanged.
+
+A frame file has the layout of a shard with one frame. Nothing in a file depends on time, so the
+same content gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from simgen.errors import UserError
+from simgen.schema import FIELDS, PER_PIXEL
+from simgen.shards import ShardEntry, load_zstd, open_shard
+
+GZIP_LEVEL = 1
+"""With shuffle, level 4 is 3 % smaller and takes twice the time (see benchmarks/)."""
+ZSTD_LEVEL = 3
+
+Arrays = Mapping[str, Any]
+Source = tuple[Path, int]
+"""(file, row) of a finished frame"""
+
+
+def content_sha256(frame: Arrays) -> str:
+    """Hash of a frame's arrays and spec, in the order of the schema."""
+    digest = hashlib.sha256()
+    for name in FIELDS:
+        if name in frame:
+            value = frame[name]
+            if name == "spec":
+                digest.update(_canonical_json(value).encode())
+            else:
+                array = np.ascontiguousarray(value)
+                digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+                digest.update(memoryview(array.reshape(-1).view(np.uint8)))
+    return digest.hexdigest()
+
+
+def _canonical_json(spec: Mapping[str, Any]) -> str:
+    return json.dumps(spec, sort_keys=True, separators=(",", ":"))
+
+
+def write_frame(
+    path: Path, frame: Arrays, *, pairs: Sequence[tuple[int, int]], compression: str
+) -> str:
+    """Writes one finished frame atomically; returns its content hash."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    digest = content_sha256(frame)
+    try:
+        with h5py.File(temporary, "w", libver="v110") as file:
+            file.attrs["content_sha256"] = digest
+            _create_datasets(file, _layout(frame), 1, pairs, compression)
+            for name, value in frame.items():
+                if name in PER_PIXEL:
+                    _write_images(file[name], np.asarray(value), compression)
+                else:
+                    file[name][0] = _canonical_json(value) if name == "spec" else value
+        _publish(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return digest
+
+
+def _layout(frame: Arrays) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shape and type of each field that a frame has, in the order of the schema."""
+    return {
+        name: ((), "json") if f.dtype == "json" else (np.asarray(frame[name]).shape, f.dtype)
+        for name, f in FIELDS.items()
+        if name in frame
+    }
+
+
+def _create_datasets(
+    file: h5py.File,
+    layout: Mapping[str, tuple[tuple[int, ...], str]],
+    num_frames: int,
+    pairs: Any,
+    compression: str,
+) -> None:
+    file.create_dataset("pairs", data=np.asarray(pairs, dtype=np.uint8))
+    for name, (shape, dtype) in layout.items():
+        if dtype == "json":
+            file.create_dataset(name, (num_frames,), dtype=h5py.string_dtype("utf-8"))
+        elif name in PER_PIXEL:
+            file.create_dataset(name, (num_frames, *shape), dtype, chunks=(1, 1, *shape[1:]),
+                                **_filters(compression))  # fmt: skip
+        else:
+            file.create_dataset(name, (num_frames, *shape), dtype)
+
+
+def _filters(compression: str) -> dict[str, Any]:
+    if compression == "gzip":
+        return {"shuffle": True, "compression": "gzip", "compression_opts": GZIP_LEVEL}
+    if compression == "zstd":
+        plugin = load_zstd("--compression zstd")
+        return {"shuffle": True, **plugin.Zstd(clevel=ZSTD_LEVEL)}
+    raise UserError(f"--compression {compression}: expected gzip or zstd.")
+
+
+def _write_images(dataset: h5py.Dataset, images: NDArray[Any], compression: str) -> None:
+    """One chunk per camera or pair; gzip chunks are made here, in threads (zlib lets them run)."""
+    if compression != "gzip":
+        dataset[0] = images
+        return
+    with ThreadPoolExecutor() as pool:
+        for k, chunk in enumerate(pool.map(_deflated, images)):
+            offset = (0, k) + (0,) * (images.ndim - 1)
+            dataset.id.write_direct_chunk(offset, chunk)
+
+
+def _deflated(image: NDArray[Any]) -> bytes:
+    """HDF5's shuffle filter (byte planes) and deflate."""
+    planes = np.ascontiguousarray(image).reshape(-1).view(np.uint8).reshape(-1, image.itemsize)
+    return zlib.compress(np.ascontiguousarray(planes.T), GZIP_LEVEL)
+
+
+def _publish(temporary: Path, path: Path) -> None:
+    with open(temporary, "rb") as file:
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+# --- shards --------------------------------------------------------------------------------------
+
+
+def assemble(
+    path: Path,
+    sources: Sequence[Source],
+    *,
+    attributes: Mapping[str, Any],
+    split: str,
+    compression: str,
+) -> ShardEntry:
+    """Builds a shard from finished frames, verifies it, and puts it in place of an older one.
+
+    Raises UserError if a source does not decode to the content that it was written with.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with h5py.File(temporary, "w", libver="v110") as file:
+            _copy_frames(file, sources, compression)
+            for name, value in attributes.items():
+                file.attrs[name] = value
+        with h5py.File(temporary, "r") as file:
+            frames = [int(i) for i in file["frame_index"][:]]
+            content = [content_sha256(read_frame(file, row)) for row in range(len(frames))]
+        _compare_content(sources, content)
+        entry = ShardEntry(path.name, split, frames, temporary.stat().st_size,
+                           file_sha256(temporary), content)  # fmt: skip
+        _publish(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return entry
+
+
+def _copy_frames(file: h5py.File, sources: Sequence[Source], compression: str) -> None:
+    for row, (source_path, source_row) in enumerate(sources):
+        with h5py.File(source_path, "r") as source:
+            if row == 0:
+                layout = {n: (source[n].shape[1:], FIELDS[n].dtype) for n in FIELDS if n in source}
+                _create_datasets(file, layout, len(sources), source["pairs"][:], compression)
+            for name in layout:
+                if name in PER_PIXEL:
+                    _copy_chunks(source[name], source_row, file[name], row)
+                else:
+                    file[name][row] = source[name][source_row]
+
+
+def _copy_chunks(source: h5py.Dataset, source_row: int, target: h5py.Dataset, row: int) -> None:
+    zeros = (0,) * (source.ndim - 2)
+    for k in range(source.shape[1]):
+        _, chunk = source.id.read_direct_chunk((source_row, k, *zeros))
+        target.id.write_direct_chunk((row, k, *zeros), chunk)
+
+
+def read_frame(file: h5py.File, row: int) -> dict[str, Any]:
+    """All fields of one frame, decoded."""
+    return {
+        name: json.loads(file[name].asstr()[row]) if f.dtype == "json" else file[name][row]
+        for name, f in FIELDS.items()
+        if name in file
+    }
+
+
+def _compare_content(sources: Sequence[Source], content: Sequence[str]) -> None:
+    for (path, _), found in zip(sources, content, strict=True):
+        expected = stored_content(path)
+        if expected is not None and expected != found:
+            raise UserError(
+                f"{path}: its content changed since it was written (sha256 {found[:12]}…, expected "
+                f"{expected[:12]}…): a failing disk? Delete it and run the command again."
+            )
+
+
+def stored_content(path: Path) -> str | None:
+    """The content hash that a frame file carries; None for a shard."""
+    with h5py.File(path, "r") as file:
+        value = file.attrs.get("content_sha256")
+        return None if value is None else str(value)
+
+
+def is_finished_frame(path: Path) -> bool:
+    """Whether a frame file is there and whole (a rename is atomic, a disk may still fail)."""
+    try:
+        return stored_content(path) is not None
+    except (OSError, KeyError):
+        return False
+
+
+def file_sha256(path: Path) -> str:
+    """Hash of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def row_of(path: Path, frame_index: int) -> int | None:
+    """The row of a frame in an existing shard; None if it is not there."""
+    with open_shard(path) as file:
+        rows = np.flatnonzero(file["frame_index"][:] == frame_index)
+        return int(rows[0]) if len(rows) else None

@@ -1,0 +1,44 @@
+"""Fixtures of all tests, and the table of worst errors that ends a run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+WORST: dict[str, tuple[float, float, str]] = {}
+"""name of a measured error → (worst, limit, unit)"""
+
+
+@pytest.fixture(scope="session")
+def mitsuba_active() -> None:
+    """Loads Mitsuba once, in the variant that SIMGEN_TEST_VARIANT names (the fastest by default)."""
+    from simgen import engine
+
+    engine.activate(engine.choose(os.environ.get("SIMGEN_TEST_VARIANT", "auto")))
+
+
+@pytest.fixture
+def worst(record_property: Callable[[str, object], None]) -> Callable[..., None]:
+    """``worst(name, errors, limit, unit)``: the largest error is below the limit, and reported."""
+
+    def check(name: str, errors: ArrayLike, limit: float, unit: str = "px") -> None:
+        errors = np.asarray(errors, dtype=np.float64)
+        assert errors.size, f"{name}: nothing was compared"
+        value = float(np.abs(errors).max())
+        record_property(f"{name} [{unit}]", value)
+        WORST[name] = (max(value, WORST.get(name, (0.0,))[0]), limit, unit)
+        assert value <= limit, f"{name}: worst error {value:.3g} {unit}, allowed {limit:g}"
+
+    return check
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Prints what ``worst`` measured."""
+    if WORST:
+        terminalreporter.section("worst errors")
+    for name, (value, limit, unit) in WORST.items():
+        terminalreporter.line(f"{value:9.2e}  of {limit:7.0e} {unit:<9} {name}")
