@@ -168,7 +168,7 @@ def _clouds(sky: SkySpec, *, rng: np.random.Generator) -> tuple[Image, Image]:
     lift = np.maximum(d[..., 2], 0.0) + 0.06
     x, y = d[..., 0] / lift, d[..., 1] / lift
     size = 2048
-    sheet = fractal((size, size), wavelength=size / 14, octaves=7, gain=0.55, seed=seed)
+    sheet = fractal((size, size), wavelength=size / 26, octaves=7, gain=0.55, seed=seed)
     uv = [((c + 17.0) * (size / 34.0)).astype(np.float32) for c in (x, y)]
     density = cv2.remap(sheet, uv[0], uv[1], cv2.INTER_LINEAR)
     level = np.quantile(sheet, 1 - np.clip(sky.cloud_cover, 0.0, 1.0))

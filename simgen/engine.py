@@ -94,7 +94,7 @@ def find_llvm() -> Llvm | None:
     if named:
         llvm = probe_llvm(Path(named))
         if llvm is None or not llvm.usable:
-            what = "cannot be loaded" if llvm is None else f"is LLVM {_text(llvm.version)}"
+            what = "cannot be loaded" if llvm is None else f"is LLVM {version_text(llvm.version)}"
             raise UserError(
                 f"{LLVM_PATH_VARIABLE}={named} {what}; expected LLVM {MIN_LLVM} or newer (older "
                 "ones abort the whole process). Unset the variable, or point it to a newer "
@@ -108,7 +108,8 @@ def find_llvm() -> Llvm | None:
     return None
 
 
-def _text(version: tuple[int, ...]) -> str:
+def version_text(version: tuple[int, ...]) -> str:
+    """A version for people."""
     return ".".join(map(str, version)) if any(version) else "15 or older"
 
 
@@ -136,7 +137,7 @@ def install_llvm() -> str:
     """Makes sure of a usable LLVM, through apt where the user is root; returns what happened."""
     llvm = find_llvm()
     if llvm is not None:
-        return f"LLVM {_text(llvm.version)} found: {llvm.path}"
+        return f"LLVM {version_text(llvm.version)} found: {llvm.path}"
     if not shutil.which("apt-get") or os.geteuid() != 0:
         return f"No LLVM {MIN_LLVM} or newer. For 3 to 4 times the speed, run: {install_hint()}"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -150,7 +151,7 @@ def install_llvm() -> str:
     if llvm is None:
         reason = done.stderr.strip().splitlines()[-1:] or ["no message"]
         return f"apt-get install {package} did not help ({reason[0]}); falling back to scalar_rgb."
-    return f"LLVM {_text(llvm.version)} installed: {llvm.path}"
+    return f"LLVM {version_text(llvm.version)} installed: {llvm.path}"
 
 
 def choose(variant: str = "auto") -> Engine:

@@ -155,15 +155,17 @@ def _vehicle(
     mix: dict[str, float] | None = None,
 ) -> Model:
     """A vehicle standing on its lane, tilted as the road is; nothing if the place is taken."""
-    family = vehicles.draw_family(rng=rng, mix=mix or layout.spec.families)
-    vehicle = vehicles.build(family, rng=rng)
     point, heading = at_station(lane.centre, s)
     heading = float(heading) + float(rng.normal(0, 0.012))
     along = np.array([np.cos(heading), np.sin(heading)])
     xy = point[:2] + lateral * np.array([-along[1], along[0]])
+    if not layout.in_view(xy):
+        return []
+    family = vehicles.draw_family(rng=rng, mix=mix or layout.spec.families)
+    vehicle = vehicles.build(family, rng=rng)
     reach = vehicle.length / 2
     discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, 6)]
-    if not layout.in_view(xy) or not layout.site.claim(discs):
+    if not layout.site.claim(discs):
         return []
     ends = at_station(lane.centre, np.array([s - 1.5, s + 1.5]))[0]
     slope = (ends[1, 2] - ends[0, 2]) / 3.0

@@ -29,7 +29,7 @@ from scipy import ndimage
 Array = NDArray[np.float64]
 
 SMOOTHING_PX = 0.5  # standard deviation
-TEXTURE_MIN = 2.0  # grey levels per pixel
+TEXTURE_MIN = 1.0  # grey levels per pixel
 UNCLIPPED = (8.0, 247.0)  # grey levels: outside, gain and offset do not hold
 TUKEY = 4.685  # × standard deviation of the residual: 95 % efficiency on Gaussian noise
 TILE_PX = 32  # residuals further apart than this are taken as independent
@@ -79,6 +79,18 @@ class _Grey:
         return np.stack([_sample(g, uv, order=1) for g in (self.du, self.dv)], axis=-1)
 
 
+@dataclass(frozen=True, eq=False)
+class _Matches:
+    """Textured pixels of the left image, and where to find them in the right one."""
+
+    value: Array
+    gradient: Array
+    right: _Grey
+    end: Array
+    tile: NDArray[np.intp]
+    """(N,) number of the image tile"""
+
+
 def align(
     left: NDArray[np.uint8], right: NDArray[np.uint8], uv: Array, end: Array, flow_slope: Array
 ) -> Alignment:
@@ -94,19 +106,24 @@ def align(
     grey_left, grey_right = _grey(left), _grey(right)
     value, gradient = grey_left.value(uv), grey_left.gradient(uv)
     use = (np.hypot(*gradient.T) >= TEXTURE_MIN) & (value > UNCLIPPED[0]) & (value < UNCLIPPED[1])
-    value, gradient, end, flow_slope = value[use], gradient[use], end[use], flow_slope[use]
-    tile = np.unique(uv[use] // TILE_PX, axis=0, return_inverse=True)[1]
-    if value.size == 0:
+    if not use.any():
         nothing = Estimate(np.zeros(2), np.full(2, np.inf))
         return Alignment(nothing, nothing, 0.0, 0)
-    there = grey_right.gradient(end)
-    correlation = (gradient * there).sum() / np.sqrt((gradient**2).sum() * (there**2).sum() + 1e-9)
-    uniform = np.broadcast_to(np.eye(2), flow_slope.shape)
-    both = np.concatenate([flow_slope, uniform], axis=-1)
-    shift, offset = (
-        _fit(value, gradient, grey_right, end, basis, tile) for basis in (uniform, both)
+    tile = np.unique(uv[use] // TILE_PX, axis=0, return_inverse=True)[1]
+    matches = _Matches(value[use], gradient[use], grey_right, end[use], tile)
+    slope = flow_slope[use]
+    uniform = np.broadcast_to(np.eye(2), slope.shape)
+    both = np.concatenate([slope, uniform], axis=-1)
+    return Alignment(
+        shift=_fit(matches, uniform),
+        offset=_fit(matches, both),
+        correlation=_correlation(matches.gradient, grey_right.gradient(matches.end)),
+        num=tile.size,
     )
-    return Alignment(shift, offset, float(correlation), value.size)
+
+
+def _correlation(a: Array, b: Array) -> float:
+    return float((a * b).sum() / np.sqrt((a**2).sum() * (b**2).sum() + 1e-9))
 
 
 def pool(estimates: Sequence[Estimate]) -> Estimate:
@@ -118,32 +135,37 @@ def pool(estimates: Sequence[Estimate]) -> Estimate:
     return Estimate(mean, np.sqrt((weight**2 * (values - mean) ** 2).sum(axis=0)))
 
 
-def _fit(
-    value: Array, gradient: Array, right: _Grey, end: Array, basis: Array, tile: NDArray[np.intp]
-) -> Estimate:
+def _fit(m: _Matches, basis: Array) -> Estimate:
     """The first two of the coefficients by which ``basis`` (N, 2, K) displaces the end points."""
     coeffs, gain, bias = np.zeros(basis.shape[-1]), 1.0, 0.0
     for _ in range(NUM_ITERATIONS_MAX):
-        moved = end + basis @ coeffs
-        observed = right.value(moved)
-        slope = (right.gradient(moved) + gain * gradient) / 2
-        residual = observed - gain * value - bias
+        moved = m.end + basis @ coeffs
+        observed = m.right.value(moved)
+        slope = (m.right.gradient(moved) + gain * m.gradient) / 2
+        residual = observed - gain * m.value - bias
         residual -= np.median(residual)
         sigma = 1.4826 * np.median(np.abs(residual)) + 1e-6
-        weight = np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, 1) ** 2
+        inlier = np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, 1)  # 1 at no residual
         columns = -np.einsum("nc,nck->nk", slope, basis)
-        J = np.column_stack([columns, value, np.ones_like(value)])
-        inverse_normal = np.linalg.pinv(J.T @ (J * weight[:, None]))
-        *step, gain, bias = inverse_normal @ (J.T @ (weight * observed))
+        J = np.column_stack([columns, m.value, np.ones_like(m.value)])
+        weighted = J.T * inlier**2
+        *step, gain, bias = np.linalg.pinv(weighted @ J) @ (weighted @ observed)
         coeffs = coeffs + step
         if np.abs(step).max() < CONVERGED_PX:
             break
-    scores = np.zeros((tile.max() + 1, J.shape[1]))
-    np.add.at(scores, tile, J * (weight * residual)[:, None])
-    covariance = inverse_normal @ (scores.T @ scores) @ inverse_normal
+    # Tukey's ψ(r) = r inlier² and its derivative.
+    covariance = _sandwich(J, residual * inlier**2, inlier * (5 * inlier - 4), m.tile)
     variance = covariance.diagonal()[:2]
     # A direction that nothing determines comes out of the pseudo-inverse as certain.
     return Estimate(coeffs[:2], np.sqrt(np.where(variance > UNDETERMINED, variance, np.inf)))
+
+
+def _sandwich(J: Array, psi: Array, dpsi: Array, tile: NDArray[np.intp]) -> Array:
+    """Covariance of an M-estimate whose residuals are correlated within tiles."""
+    scores = np.zeros((tile.max() + 1, J.shape[1]))
+    np.add.at(scores, tile, J * psi[:, None])
+    bread = np.linalg.pinv((J.T * dpsi) @ J)
+    return np.asarray(bread @ (scores.T @ scores) @ bread)
 
 
 def _grey(image: NDArray[np.uint8]) -> _Grey:

@@ -28,7 +28,7 @@ Image = NDArray[np.float32]
 MAX_DEPTH = 4
 RR_DEPTH = 1
 """Russian roulette from the first bounce: the same mean in 40 % of the time (see benchmarks/)."""
-FEATURE_SPP = 16
+FEATURE_SPP = 8
 MIN_ALBEDO = 0.03
 """Irradiance of darker surfaces is not divided further: black would blow the noise up."""
 FLIP = np.diag([-1.0, -1.0, 1.0])

@@ -18,11 +18,11 @@ from simgen.color import luminance, srgb_from_linear
 Image = NDArray[np.float32]
 
 SENSORS = ("ideal", "camera")
-MIDDLE_GREY = 0.20
-WHITE = 5.0
+MIDDLE_GREY = 0.22
+WHITE = 6.0
 """exposed value that the tone curve takes to 1"""
-MAX_BRIGHT = 3.0
-"""the brightest 2 % may not be exposed above this"""
+MAX_BRIGHT = 4.0
+"""the brightest 1 % of the lower half may not be exposed above this"""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,14 @@ class Exposure:
 
 
 def meter(radiances: Sequence[Image]) -> float:
-    """The exposure of a rig: the scene's geometric mean to middle grey, bright parts kept.
+    """The exposure of a rig: the geometric mean of the lower halves to middle grey.
 
-    The lower two thirds count, so that an open sky does not turn the road black.
+    The sky does not count: it may burn out in places, as it does in a dash camera, but it must not
+    turn the road black. What is bright in the lower half is kept.
     """
-    light = np.concatenate(
-        [luminance(r[r.shape[0] // 3 :: 4, ::4]).ravel() for r in radiances]
-    ).astype(np.float64)
-    typical = np.exp(np.log(np.maximum(light, 1e-9)).mean())
-    bright = np.quantile(light, 0.98)
+    light = np.concatenate([luminance(r[r.shape[0] // 2 :: 4, ::4]).ravel() for r in radiances])
+    typical = np.exp(np.log(np.maximum(light.astype(np.float64), 1e-9)).mean())
+    bright = np.quantile(light, 0.99)
     return float(min(MIDDLE_GREY / typical, MAX_BRIGHT / max(bright, 1e-9)))
 
 

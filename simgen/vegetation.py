@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 VEGETATION, TERRAIN = LABELS["vegetation"], LABELS["terrain"]
-TREE_TRIANGLES = (4000, 1200, 250)  # at most, by level of detail
-SHRUB_TRIANGLES = (700, 240, 60)
-HEDGE_TRIANGLES_PER_M2 = (90, 26, 7)
+TREE_TRIANGLES = (18000, 3600, 800)  # at most, by level of detail
+SHRUB_TRIANGLES = (2400, 700, 140)
+HEDGE_TRIANGLES_PER_M2 = (260, 70, 14)
 
 UP = np.array([0.0, 0.0, 1.0])
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from simgen.recipe import SceneSpec
 from simgen.roads import Network, at_station, stations
 from simgen.scene import World
 
+from simgen.signs import sign_atlas
 from simgen.site import Site
 
 FRAME_STEP_M = 3.0
@@ -45,20 +47,19 @@ def drive(spec: SceneSpec, step: int) -> Drive:
 def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     """Everything that can be seen."""
     site = Site(drive.network)
-    from simgen.signs import sign_atlas  # TEMP
     atlas = sign_atlas(rng=spec.stream("signs"))
     paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
     half = layout.FAR_INNER_M
-    far = (layout.FAR_CENTRE - half, layout.FAR_CENTRE + half)
-    rig_xy = drive.T_world_vehicle[:2, 3]
-    return World(
-        parts=layout.place(site, spec, rig_xy, atlas.rects),
-        ground=ground.build(site, spec, paints, drive.T_world_vehicle, optics,
-                            far_low=far[0], far_high=far[1]),
-        sheets=_sheets(spec),
-        sign_atlas=atlas.image,
-        sky=daylight.environment(spec.sky, rng=spec.stream("clouds")),
-    )  # fmt: skip
+    # OpenCV and NumPy let other threads run: maps are painted while objects are put in place.
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        maps = pool.submit(
+            ground.build, site, spec, paints, drive.T_world_vehicle, optics,
+            far_low=layout.FAR_CENTRE - half, far_high=layout.FAR_CENTRE + half,
+        )  # fmt: skip
+        sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
+        surfaces = pool.submit(_sheets, spec)
+        parts = layout.place(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects)
+        return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result())
 
 
 WALL_KINDS = ("brick", "plaster", "concrete", "stone")
@@ -76,11 +77,11 @@ def _sheets(spec: SceneSpec) -> dict[str, sheets.Sheet]:
     kinds = ["brick", "plaster", *rng.choice(WALL_KINDS, 2)]
     colors = [_WALL_COLORS[k][rng.integers(len(_WALL_COLORS[k]))] for k in kinds]
     walls = {
-        f"wall_{i}": sheets.wall_sheet(k, c, rng=rng, size_px=1024, metres=16.0)
+        f"wall_{i}": sheets.wall_sheet(k, c, rng=rng)
         for i, (k, c) in enumerate(zip(kinds, colors, strict=True))
     }
     return {
         **walls,
-        "roof": sheets.roof_sheet(rng=rng, size_px=1024, metres=16.0),
+        "roof": sheets.roof_sheet(rng=rng),
         "bark": sheets.bark_sheet(rng=rng),
     }

@@ -15,7 +15,7 @@ WORST: dict[str, tuple[float, float, str]] = {}
 
 @pytest.fixture(scope="session")
 def mitsuba_active() -> None:
-    """Loads Mitsuba once, in the variant that SIMGEN_TEST_VARIANT names (the fastest by default)."""
+    """Loads Mitsuba once, in the variant that SIMGEN_TEST_VARIANT names, else the fastest."""
     from simgen import engine
 
     engine.activate(engine.choose(os.environ.get("SIMGEN_TEST_VARIANT", "auto")))

@@ -1,4 +1,4 @@
-"""Scenes of a few hand-made triangles, cameras anywhere, and float64 ray casting as their oracle."""
+"""Scenes of few hand-made triangles, cameras anywhere, and float64 ray casting as the oracle."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_a_sideways_shift_gives_focal_length_times_baseline_over_depth(worst):
     depth = random_depth(1)
     T = g.transform(np.eye(3), np.array([-0.8, 0, 0]))
     flow = flow_from_depth(depth, K_LEFT, K_LEFT, T)
-    worst("flow -f B / Z", flow[..., 0] + 70.0 * 0.8 / depth, 1e-5)
+    worst("flow -f B / Z", flow[..., 0] + 70.0 * 0.8 / depth.astype(np.float64), 1e-5)
     worst("vertical flow of a rectified pair", flow[..., 1], 1e-5)
 
 

@@ -1,0 +1,53 @@
+# make demo | make test | make lint: each makes or reuses .venv by itself.
+SHELL := /bin/bash
+VENV := .venv
+PY := $(VENV)/bin/python
+READY := $(VENV)/.ready
+PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
+export MPLBACKEND := Agg
+
+.PHONY: help demo test test-slow test-scalar lint bench clean
+help:
+	@echo "make demo         render, validate and report a small set into demo/ (9 pairs at 640x360)"
+	@echo "make test         the test suite"
+	@echo "make test-slow    the tests that take minutes"
+	@echo "make test-scalar  the test suite with the scalar_rgb variant (needs no LLVM)"
+	@echo "make lint         ruff and mypy"
+	@echo "make bench        timings of a full-size frame, stage by stage"
+
+# Done once; again only when what it installs has changed.
+$(READY): pyproject.toml constraints.txt
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV) 2>/dev/null || ( \
+	  echo "python3-venv is missing: installing it through apt"; \
+	  apt-get update -qq && apt-get install -y -qq python3-venv && $(PYTHON) -m venv $(VENV) )
+	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(PY) -m simgen doctor --install-llvm
+	@touch $@
+
+demo: $(READY)
+	$(PY) -m simgen render --n 9 --size 640x360 --out demo
+	$(PY) -m simgen validate demo
+	$(PY) -m simgen report demo
+	$(PY) -m simgen show demo --frame 0 --out demo/frame-0.png
+	@echo
+	@echo "Look at:  demo/report.html   and   demo/frame-0.png"
+
+test: $(READY)
+	$(PY) -m pytest -q -m "not slow"
+
+test-slow: $(READY)
+	$(PY) -m pytest -q -m slow -s
+
+test-scalar: $(READY)
+	SIMGEN_TEST_VARIANT=scalar_rgb $(PY) -m pytest -q -m "not slow"
+
+lint: $(READY)
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy
+
+bench: $(READY)
+	$(PY) benchmarks/full_frame.py
+
+clean:
+	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache

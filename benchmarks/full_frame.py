@@ -1,0 +1,90 @@
+"""Seconds per stage of full-size rig frames, peak memory, and kernels compiled, in one process.
+
+    python benchmarks/full_frame.py [--frames 4] [--size 2560x1440] [--night]
+
+Prints a table to compare with the bar: at most 60 s per rig frame on two cores after the first
+frame, at most 12 s of it neither path tracing (with its first-hit features) nor denoising, at most
+6 GiB. Kernels are counted by Dr.Jit's own history: "compiled" is neither in memory nor on disk.
+"""
+
+from __future__ import annotations
+
+import platform
+import resource
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import tyro
+
+from simgen import engine
+from simgen.checks import check_frame
+from simgen.config import RenderOptions, resolve
+from simgen.produce import make_frame
+from simgen.store import write_frame
+
+TRACED = ("path", "features", "denoise")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Full-size frames, stage by stage."""
+
+    frames: int = 4
+    """rig frames; the first one is not counted in the mean"""
+    size: str = "2560x1440"
+    recipes: str = ""
+    """comma-separated names; all if not given"""
+    seed: int = 0
+    night: bool = False
+    """night scenes: another light structure, so other kernels"""
+    spp: int = RenderOptions(n=1).spp
+
+
+def main(options: Options) -> None:
+    """Renders the frames and prints the table."""
+    chosen = engine.choose()
+    engine.activate(chosen)
+    job = resolve(
+        RenderOptions(n=1, size=options.size, recipes=options.recipes, seed=options.seed,
+                      spp=options.spp, daylight="night" if options.night else ""),
+        chosen.variant,
+    )  # fmt: skip
+    dr.set_flag(dr.JitFlag.KernelHistory, True)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for index in range(options.frames):
+            start = time.perf_counter()
+            frame, seconds = make_frame(job, index, attempt=0)
+            pairs = np.array(job.rig.pairs, dtype=np.uint8)
+            lap = time.perf_counter()
+            check_frame(frame, pairs, thorough=False)
+            seconds["check"] = time.perf_counter() - lap
+            lap = time.perf_counter()
+            write_frame(Path(folder) / "f.h5", frame, pairs=job.rig.pairs, compression="gzip")
+            seconds["write"] = time.perf_counter() - lap
+            seconds["total"] = time.perf_counter() - start
+            seconds["other than tracing"] = seconds["total"] - sum(seconds[k] for k in TRACED)
+            seconds["kernels compiled"] = _num_compiled()
+            print(f"frame {index}: {frame['spec']['recipe']}, {seconds['total']:.1f} s", flush=True)
+            rows.append(seconds)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"\n{platform.processor() or platform.machine()}, {dr.thread_count()} threads, "
+          f"{chosen.variant}, {options.size}, {options.spp} spp, peak memory {peak:.2f} GiB\n")  # fmt: skip
+    print(f"{'stage':20}" + "".join(f"{f'frame {i}':>10}" for i in range(len(rows))) + f"{'mean 1…':>10}")
+    for stage in rows[0]:
+        values = [r.get(stage, 0.0) for r in rows]
+        mean = np.mean(values[1:]) if len(values) > 1 else np.nan
+        print(f"{stage:20}" + "".join(f"{v:10.1f}" for v in values) + f"{mean:10.1f}")
+
+
+def _num_compiled() -> int:
+    history = dr.kernel_history()
+    return sum(not k["cache_hit"] and not k["cache_disk"] for k in history if "cache_hit" in k)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

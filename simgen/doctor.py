@@ -1,0 +1,80 @@
+"""What this machine renders with, and what would make it faster."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import psutil
+
+from simgen import __version__, engine
+from simgen.errors import UserError
+
+PACKAGES = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "scipy", "opencv-python-headless",
+            "shapely", "h5py", "hdf5plugin", "OpenEXR", "tyro", "pydantic", "pebble")  # fmt: skip
+LOW_MEMORY_GB = 6.0
+"""What one worker needs at 2560x1440."""
+
+
+def diagnosis() -> str:
+    """A page of text; loads neither Mitsuba nor LLVM."""
+    lines = [f"simgen {__version__}, Python {platform.python_version()}, {platform.platform()}"]
+    lines += _engine_lines()
+    memory = psutil.virtual_memory()
+    lines.append(f"cores     {os.cpu_count()}")
+    lines.append(
+        f"memory    {memory.total / 2**30:.1f} GiB, {memory.available / 2**30:.1f} GiB available"
+    )
+    disk = shutil.disk_usage(Path.cwd())
+    lines.append(f"disk      {disk.free / 1e9:.1f} GB free in {Path.cwd()}")
+    lines.append("packages  " + ", ".join(f"{p} {_version(p)}" for p in PACKAGES))
+    advice = _advice(memory.available / 2**30, disk.free / 1e9)
+    lines.append("To do     " + ("\n          ".join(advice) if advice else "nothing: all is well."))
+    return "\n".join(lines)
+
+
+def _engine_lines() -> list[str]:
+    try:
+        chosen = engine.choose("auto")
+    except UserError as error:
+        return [f"variant   none: {error}"]
+    lines = [f"variant   {chosen.variant}"]
+    for path in engine.llvm_candidates():
+        llvm = engine.probe_llvm(path)
+        state = "cannot be loaded" if llvm is None else _llvm_state(llvm, chosen)
+        lines.append(f"LLVM      {path}: {state}")
+    return lines if len(lines) > 1 else [*lines, "LLVM      none found"]
+
+
+def _llvm_state(llvm: engine.Llvm, chosen: engine.Engine) -> str:
+    number = engine.version_text(llvm.version)
+    if not llvm.usable:
+        return f"{number}, too old (it would abort the process): never loaded"
+    used = chosen.llvm is not None and chosen.llvm.path == llvm.path
+    return f"{number}, {'in use' if used else 'usable'}"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _advice(memory_gb: float, disk_gb: float) -> list[str]:
+    advice = []
+    try:
+        if engine.choose("auto").variant == "scalar_rgb":
+            advice.append(f"3 to 4 times faster with a newer LLVM: {engine.install_hint()}")
+    except UserError as error:
+        advice.append(str(error))
+    if memory_gb < LOW_MEMORY_GB:
+        advice.append(f"less than {LOW_MEMORY_GB:g} GiB of memory: render at a smaller --size")
+    if disk_gb < 20:
+        advice.append("less than 20 GB free: choose another disk with --out for a large set")
+    if _version("hdf5plugin") == "(not installed)":
+        advice.append("pip install hdf5plugin to use --compression zstd (faster to read and write)")
+    return advice

@@ -1,0 +1,99 @@
+"""One frame as files that image tools read: OpenEXR with named channels, and PNG.
+
+Per camera ``camera-<c>.exr`` holds linear radiance R, G, B (rendered again from the spec), depth.Z
+[m], ids semantic and instance; per pair ``pair-<left>-<right>.exr`` holds flow.u, flow.v [px] and
+the status of both directions. Floats are 32 bit, so nothing is rounded.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from simgen import engine
+from simgen.config import Job
+from simgen.errors import UserError
+from simgen.shards import Frame, ShardSet
+
+
+def export_frame(folder: Path, index: int, to: Path) -> list[Path]:
+    """Writes the files of one frame and returns their paths.
+
+    Raises UserError if the set has no such frame, or renders otherwise than it did.
+    """
+    frames = ShardSet(folder)
+    frame = frames.frame(index)
+    job = Job.from_content(frames.manifest.config)
+    radiances = _render_again(job, index, int(frame.spec["attempt"]))
+    try:
+        to.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--to {to}: cannot be made ({error.strerror}).") from error
+    paths = []
+    for c, radiance in enumerate(radiances):
+        paths.append(_write_exr(to / f"camera-{c}.exr", camera_channels(frame, c, radiance)))
+        paths.append(to / f"camera-{c}.png")
+        cv2.imwrite(str(paths[-1]), frame.read("image", c)[..., ::-1])
+    for p, (left, right) in enumerate(frame.pairs):
+        paths.append(_write_exr(to / f"pair-{left}-{right}.exr", pair_channels(frame, p)))
+    paths.append(to / "frame.json")
+    paths[-1].write_text(json.dumps(_cameras(frame), indent=1), encoding="utf-8")
+    return paths
+
+
+def camera_channels(frame: Frame, c: int, radiance: NDArray[np.float32]) -> dict[str, Any]:
+    """Channels of one camera's EXR."""
+    return {
+        **{name: radiance[..., k] for k, name in enumerate("RGB")},
+        "depth.Z": frame.read("depth", c),
+        "id.semantic": frame.read("semantic", c).astype(np.uint32),
+        "id.instance": frame.read("instance", c).astype(np.uint32),
+    }
+
+
+def pair_channels(frame: Frame, p: int) -> dict[str, Any]:
+    """Channels of one pair's EXR."""
+    flow = frame.flow(p)
+    return {
+        "flow.u": flow[..., 0],
+        "flow.v": flow[..., 1],
+        "status.forward": frame.read("flow_status", p).astype(np.uint32),
+        "status.reverse": frame.read("flow_status_reverse", p).astype(np.uint32),
+    }
+
+
+def _render_again(job: Job, index: int, attempt: int) -> list[NDArray[np.float32]]:
+    engine.activate(engine.choose(job.variant))
+    from simgen import produce
+
+    watch = produce.Stopwatch()
+    frame_plan = produce.plan_frame(job, index, attempt)
+    loaded, sky = produce.load(frame_plan, job, watch)
+    return produce.radiance(frame_plan, job, loaded, sky, watch)
+
+
+def _write_exr(path: Path, channels: Mapping[str, NDArray[Any]]) -> Path:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    data = {name: np.ascontiguousarray(value) for name, value in channels.items()}
+    with OpenEXR.File(header, data) as file:
+        file.write(str(path))
+    return path
+
+
+def read_exr(path: Path) -> dict[str, NDArray[Any]]:
+    """The channels of an EXR file, each (H, W) under its own name."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+
+
+def _cameras(frame: Frame) -> dict[str, Any]:
+    names = ("K", "T_world_cam", "T_world_cam_nominal", "perturbation_deg")
+    return {**{n: getattr(frame, n).tolist() for n in names}, "pairs": frame.pairs,
+            "spec": frame.spec}  # fmt: skip
