@@ -135,8 +135,8 @@ def _report(options: ReportOptions) -> int:
 
 
 def _show(options: ShowOptions) -> int:
-    from simgen.show import save_picture
     from simgen.shards import ShardSet
+    from simgen.show import save_picture
 
     frame = ShardSet(options.folder).frame(options.frame)
     print(save_picture(frame, options.pair, options.out or Path(f"frame-{options.frame}.png")))

@@ -7,7 +7,6 @@ asked for its version in a child process before Dr.Jit may load it.
 
 from __future__ import annotations
 
-import ctypes.util
 import os
 import re
 import shutil

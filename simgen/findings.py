@@ -17,7 +17,7 @@ from simgen.photometric import Estimate
 
 BORDER_PX = 1e-3  # end points this close to the border may be called in or out of frame
 
-CERTAINTY = 5  # standard errors that must fit into the limit of an estimate
+DECISIVE = 3  # standard errors between an estimate and its limit that decide
 
 
 def _p99(values: NDArray[np.float64]) -> float:
@@ -112,10 +112,10 @@ def not_applicable(name: str, where: str, why: str) -> Finding:
 
 
 def judge_estimate(name: str, estimate: Estimate, where: str, limit: float) -> Finding:
-    """Judges the components whose standard error fits ``CERTAINTY`` times into the limit."""
-    certain = estimate.std_error <= limit / CERTAINTY
-    if certain.any():
-        length = np.linalg.norm(estimate.uv[certain])
+    """Judges the components that are above or below the limit by ``DECISIVE`` standard errors."""
+    decided = np.abs(np.abs(estimate.uv) - limit) >= DECISIVE * estimate.std_error
+    if decided.any():
+        length = np.linalg.norm(estimate.uv[decided])
         finding = judge(name, length, where, str(estimate), limit=limit)
     else:
         finding = not_applicable(name, where, f"too uncertain: {estimate}")

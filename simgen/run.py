@@ -11,7 +11,6 @@ import errno
 import fcntl
 import json
 import multiprocessing
-import os
 import shutil
 import signal
 import socket

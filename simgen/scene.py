@@ -18,7 +18,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from simgen.color import luminance
 from simgen.materials import FAR_SHEET_FACTOR, FAR_SHEET_M, MATERIALS, Material
 from simgen.mesh import Part
 from simgen.sheets import Sheet, filtered
@@ -58,7 +57,7 @@ class World:
     sky: NDArray[np.float32]
     """(H, W, 3) linear radiance, latitude–longitude, see daylight.py"""
     lamps: list[Lamp] = field(default_factory=list)
-    """none by day"""
+    """none by day; at night in order of importance"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +94,8 @@ class _Slot:
 def load(world: World, *, num_lamps: int) -> Scene:
     """Hands the world to Mitsuba.
 
-    ``num_lamps`` is the number of light slots of a night scene (0 by day); the brightest lamps
-    take them, the rest of the slots stay dark.
+    ``num_lamps`` is the number of light slots of a night scene (0 by day): the first lamps take
+    them, slots that are left over stay dark.
     """
     slots = _slots(world)
     meshes = [_mesh(slot) for slot in slots]
@@ -140,7 +139,9 @@ def _ground_slot(i: int, ring: GroundRing, material: Material) -> _Slot:
     return _Slot(f"ground_{i}", ring.parts, _bsdf(material, texture), material)
 
 
-def _near_and_far(name: str, parts: Sequence[Part], sheet: Sheet, material: Material) -> list[_Slot]:
+def _near_and_far(
+    name: str, parts: Sequence[Part], sheet: Sheet, material: Material
+) -> list[_Slot]:
     """Splits by distance from the rig (the origin) and filters the far sheet."""
     distance = [np.linalg.norm(p.vertices[:, :2], axis=1).min() for p in parts]
     near = [p for p, d in zip(parts, distance, strict=True) if d < FAR_SHEET_M]
@@ -261,18 +262,17 @@ def _planes(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray
 
 
 def _sky_dict(sky: NDArray[np.float32]) -> dict[str, Any]:
-    """An environment emitter, turned from Mitsuba's y-up to our z-up."""
+    """An environment emitter, turned from Mitsuba's y-up, with its seam at −z, to daylight's map."""
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(sky, dtype=np.float32)),
-        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
+        "to_world": mi.ScalarTransform4f().rotate([0, 0, 1], 90).rotate([1, 0, 0], 90),
     }
 
 
 def _lamp_dicts(lamps: Sequence[Lamp], num: int) -> list[dict[str, Any]]:
-    brightest = sorted(lamps, key=lambda lamp: -float(luminance(lamp.intensity)))[:num]
     off = Lamp(np.array([0.0, 0, -800]), np.array([0.0, 0, -1]), np.zeros(3), 60.0, 50.0)
-    return [_spot(lamp) for lamp in [*brightest, *[off] * (num - len(brightest))]]
+    return [_spot(lamp) for lamp in [*lamps[:num], *[off] * (num - len(lamps))]]
 
 
 def _spot(lamp: Lamp) -> dict[str, Any]:

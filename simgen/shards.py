@@ -24,10 +24,12 @@ from numpy.typing import NDArray
 
 from simgen.errors import UserError
 from simgen.flowfield import flow_from_depth
+from simgen.geometry import inverse
 from simgen.schema import FIELDS, SCHEMA_VERSION
 
 MANIFEST = "manifest.json"
 ZSTD_FILTER_ID = 32015
+SPLITS = ("train", "test")
 
 
 @dataclass(frozen=True)
@@ -108,21 +110,30 @@ def open_shard(path: Path) -> h5py.File:
         raise UserError(f"{path}: no such file, though the manifest lists it.") from error
     except OSError as error:
         raise UserError(
-            f"{path}: not a readable HDF5 file ({error}): truncated or foreign. Delete it and run "
-            "the same render command again: it makes the missing frames anew."
+            f"{path}: not a readable HDF5 file ({error}). If it is truncated or foreign, delete it "
+            "and run the same render command again: it makes the missing frames anew."
         ) from error
-    version = file.attrs.get("schema_version")
-    if version is None or "frame_index" not in file:
+    try:
+        _require_schema(file, path)
+        _require_filters(file, path)
+    except UserError:
         file.close()
-        raise UserError(f"{path}: an HDF5 file, but no shard of simgen (no schema_version).")
-    if int(version) != SCHEMA_VERSION:
-        file.close()
-        raise UserError(
-            f"{path}: schema {int(version)}, but this version reads schema {SCHEMA_VERSION}. "
-            "Install the simgen that wrote it, or render the set again."
-        )
-    _require_filters(file, path)
+        raise
     return file
+
+
+def _require_schema(file: h5py.File, path: Path) -> None:
+    version = file.attrs.get("schema_version")
+    if version is None or not {"frame_index", "image", "pairs"} <= file.keys():
+        raise UserError(
+            f"{path}: an HDF5 file, but no shard of simgen: no schema_version, or no images. Take "
+            "it out of the folder and run the same render command again."
+        )
+    if version != SCHEMA_VERSION:
+        raise UserError(
+            f"{path}: schema {version}, but this version reads schema {SCHEMA_VERSION}. Install "
+            "the simgen that wrote it, or render the set again."
+        )
 
 
 def _require_filters(file: h5py.File, path: Path) -> None:
@@ -191,16 +202,8 @@ class Frame:
 
     def _derived(self, source: int, target: int) -> NDArray[np.float32]:
         K, T = self.K, self.T_world_cam
-        T_target_source = rigid_inverse(T[target]) @ T[source]
+        T_target_source = inverse(T[target]) @ T[source]
         return flow_from_depth(self.read("depth", source), K[source], K[target], T_target_source)
-
-
-def rigid_inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``T_a_b`` of a rigid (4, 4) ``T_b_a``."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 class _Files:
@@ -231,6 +234,8 @@ class ShardSet:
     def __init__(self, folder: str | Path, split: str | None = None) -> None:
         self.folder = Path(folder)
         self.manifest = Manifest.load(self.folder)
+        if split not in (None, *SPLITS):
+            raise UserError(f"split {split!r}: expected one of {', '.join(SPLITS)}, or None for all.")
         self._files = _Files()
         places = [
             (index, self.folder / shard.name, row)
@@ -257,7 +262,7 @@ class ShardSet:
     def frame(self, index: int) -> Frame:
         """A frame by its index in the set; UserError if the set does not have it."""
         if index not in self._places:
-            have = f"{len(self)} frames, {min(self._places)} to {max(self._places)}" if self else "none"
+            have = f"{len(self)} frames, {min(self.indices, default=0)} to {max(self.indices, default=0)}"
             raise UserError(f"{self.folder}: no frame {index}; it has {have}.")
         path, row = self._places[index]
         return Frame(self._files, path, row)

@@ -10,12 +10,16 @@ same content gives the same bytes.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import shutil
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +29,23 @@ from numpy.typing import NDArray
 
 from simgen.errors import UserError
 from simgen.schema import FIELDS, PER_PIXEL
-from simgen.shards import ShardEntry, load_zstd, open_shard
+from simgen.shards import ShardEntry, load_zstd, write_atomically
 
 GZIP_LEVEL = 1
 """With shuffle, level 4 is 3 % smaller and takes twice the time (see benchmarks/)."""
 ZSTD_LEVEL = 3
 
 Arrays = Mapping[str, Any]
-Source = tuple[Path, int]
-"""(file, row) of a finished frame"""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A finished frame in a file."""
+
+    path: Path
+    row: int
+    content: str
+    """sha256 that it was written with"""
 
 
 def content_sha256(frame: Arrays) -> str:
@@ -58,21 +70,24 @@ def _canonical_json(spec: Mapping[str, Any]) -> str:
 def write_frame(
     path: Path, frame: Arrays, *, pairs: Sequence[tuple[int, int]], compression: str
 ) -> str:
-    """Writes one finished frame atomically; returns its content hash."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Writes one finished frame atomically; returns its content hash.
+
+    The file is built in memory: where the disk is full, HDF5 itself ends the process.
+    """
     digest = content_sha256(frame)
-    try:
-        with h5py.File(temporary, "w", libver="v110") as file:
-            file.attrs["content_sha256"] = digest
-            _create_datasets(file, _layout(frame), 1, pairs, compression)
-            for name, value in frame.items():
-                if name in PER_PIXEL:
-                    _write_images(file[name], np.asarray(value), compression)
-                else:
-                    file[name][0] = _canonical_json(value) if name == "spec" else value
-        _publish(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    layout = _layout(frame)
+    with h5py.File(path, "w", driver="core", backing_store=False, libver="v110") as file:
+        file.attrs["content_sha256"] = digest
+        _create_datasets(file, layout, 1, pairs, compression)
+        for name in layout:
+            value = frame[name]
+            if name in PER_PIXEL:
+                _write_images(file[name], np.asarray(value), compression)
+            else:
+                file[name][0] = _canonical_json(value) if name == "spec" else value
+        file.flush()
+        image = file.id.get_file_image()
+    write_atomically(path, image)
     return digest
 
 
@@ -148,8 +163,10 @@ def assemble(
 ) -> ShardEntry:
     """Builds a shard from finished frames, verifies it, and puts it in place of an older one.
 
-    Raises UserError if a source does not decode to the content that it was written with.
+    Raises UserError if a source does not decode to the content that it was written with, and
+    OSError (ENOSPC) if the disk has no room for the shard.
     """
+    _require_room(path.parent, sum(p.stat().st_size for p in {s.path for s in sources}))
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with h5py.File(temporary, "w", libver="v110") as file:
@@ -158,34 +175,40 @@ def assemble(
                 file.attrs[name] = value
         with h5py.File(temporary, "r") as file:
             frames = [int(i) for i in file["frame_index"][:]]
-            content = [content_sha256(read_frame(file, row)) for row in range(len(frames))]
-        _compare_content(sources, content)
+            for row, source in enumerate(sources):
+                _require_content(file, row, source)
         entry = ShardEntry(path.name, split, frames, temporary.stat().st_size,
-                           file_sha256(temporary), content)  # fmt: skip
+                           file_sha256(temporary), [s.content for s in sources])  # fmt: skip
         _publish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
     return entry
 
 
+def _require_room(folder: Path, num_bytes: int) -> None:
+    """OSError before anything is written: HDF5 would end the process in the middle of it."""
+    if shutil.disk_usage(folder).free < num_bytes:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+
+
 def _copy_frames(file: h5py.File, sources: Sequence[Source], compression: str) -> None:
-    for row, (source_path, source_row) in enumerate(sources):
-        with h5py.File(source_path, "r") as source:
+    for row, source in enumerate(sources):
+        with _explained(source), h5py.File(source.path, "r") as data:
             if row == 0:
-                layout = {n: (source[n].shape[1:], FIELDS[n].dtype) for n in FIELDS if n in source}
-                _create_datasets(file, layout, len(sources), source["pairs"][:], compression)
+                layout = {n: (data[n].shape[1:], FIELDS[n].dtype) for n in FIELDS if n in data}
+                _create_datasets(file, layout, len(sources), data["pairs"][:], compression)
             for name in layout:
                 if name in PER_PIXEL:
-                    _copy_chunks(source[name], source_row, file[name], row)
+                    _copy_chunks(data[name], source.row, file[name], row)
                 else:
-                    file[name][row] = source[name][source_row]
+                    file[name][row] = data[name][source.row]
 
 
 def _copy_chunks(source: h5py.Dataset, source_row: int, target: h5py.Dataset, row: int) -> None:
     zeros = (0,) * (source.ndim - 2)
     for k in range(source.shape[1]):
-        _, chunk = source.id.read_direct_chunk((source_row, k, *zeros))
-        target.id.write_direct_chunk((row, k, *zeros), chunk)
+        skipped_filters, chunk = source.id.read_direct_chunk((source_row, k, *zeros))
+        target.id.write_direct_chunk((row, k, *zeros), chunk, skipped_filters)
 
 
 def read_frame(file: h5py.File, row: int) -> dict[str, Any]:
@@ -197,39 +220,35 @@ def read_frame(file: h5py.File, row: int) -> dict[str, Any]:
     }
 
 
-def _compare_content(sources: Sequence[Source], content: Sequence[str]) -> None:
-    for (path, _), found in zip(sources, content, strict=True):
-        expected = stored_content(path)
-        if expected is not None and expected != found:
-            raise UserError(
-                f"{path}: its content changed since it was written (sha256 {found[:12]}…, expected "
-                f"{expected[:12]}…): a failing disk? Delete it and run the command again."
-            )
+def _require_content(file: h5py.File, row: int, source: Source) -> None:
+    with _explained(source):
+        found = content_sha256(read_frame(file, row))
+        if found != source.content:
+            raise ValueError(f"sha256 {found[:12]}…, expected {source.content[:12]}…")
 
 
-def stored_content(path: Path) -> str | None:
-    """The content hash that a frame file carries; None for a shard."""
-    with h5py.File(path, "r") as file:
-        value = file.attrs.get("content_sha256")
-        return None if value is None else str(value)
-
-
-def is_finished_frame(path: Path) -> bool:
-    """Whether a frame file is there and whole (a rename is atomic, a disk may still fail)."""
+@contextmanager
+def _explained(source: Source) -> Iterator[None]:
+    """Turns what a damaged file may cause into a UserError."""
     try:
-        return stored_content(path) is not None
+        yield
+    except (OSError, KeyError, ValueError) as error:
+        raise UserError(
+            f"{source.path}: row {source.row} is not as it was written ({error}): a failing disk? "
+            "Delete the file and run the same command again: it makes the missing frames anew."
+        ) from error
+
+
+def finished_frame(path: Path) -> Source | None:
+    """A frame file, if it is there and whole (a rename is atomic, a disk may still fail)."""
+    try:
+        with h5py.File(path, "r") as file:
+            return Source(path, 0, str(file.attrs["content_sha256"]))
     except (OSError, KeyError):
-        return False
+        return None
 
 
 def file_sha256(path: Path) -> str:
     """Hash of a file's bytes."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def row_of(path: Path, frame_index: int) -> int | None:
-    """The row of a frame in an existing shard; None if it is not there."""
-    with open_shard(path) as file:
-        rows = np.flatnonzero(file["frame_index"][:] == frame_index)
-        return int(rows[0]) if len(rows) else None

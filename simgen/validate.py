@@ -112,7 +112,7 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int]]:
             _Entry(s["name"], s["split"], list(map(int, s["frames"])), s["sha256"])
             for s in manifest["shards"]
         ]
-        failed_frames = {int(failure["frame"]) for failure in manifest["failures"]}
+        failed_frames = {int(failure["frame_index"]) for failure in manifest["failures"]}
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}: not a manifest of simgen ({type(error).__name__}: {error}). Restore the "

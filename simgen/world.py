@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
-from simgen import daylight, ground, layout, markings, roads, sheets
+from simgen import (
+    daylight,
+    ground,
+    markings,
+    planting,
+    roads,
+    roadside,
+    sheets,
+    surroundings,
+    traffic,
+)
 from simgen.geometry import Array, rotation_from_vector, transform
+from simgen.layout import Layout, Placed
+from simgen.mesh import Part
 from simgen.recipe import SceneSpec
 from simgen.roads import Network, at_station, stations
-from simgen.scene import World
-
+from simgen.scene import Lamp, World
+from simgen.schema import LABELS
 from simgen.signs import sign_atlas
 from simgen.site import Site
 
@@ -49,17 +63,62 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     site = Site(drive.network)
     atlas = sign_atlas(rng=spec.stream("signs"))
     paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
-    half = layout.FAR_INNER_M
+    half = surroundings.FAR_INNER_M
     # OpenCV and NumPy let other threads run: maps are painted while objects are put in place.
     with ThreadPoolExecutor(max_workers=2) as pool:
         maps = pool.submit(
             ground.build, site, spec, paints, drive.T_world_vehicle, optics,
-            far_low=layout.FAR_CENTRE - half, far_high=layout.FAR_CENTRE + half,
+            far_low=surroundings.FAR_CENTRE - half, far_high=surroundings.FAR_CENTRE + half,
         )  # fmt: skip
         sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
         surfaces = pool.submit(_sheets, spec)
-        parts = layout.place(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects)
-        return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result())
+        layout = Layout(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects)
+        parts = _place(layout)
+        lamps = _night_lamps(layout, drive) if daylight.is_night(spec.sky) else []
+        return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps)
+
+
+_STEPS: tuple[Callable[[Layout], Placed], ...] = (
+    surroundings.houses, traffic.moving, traffic.parked, roadside.signals, roadside.lamps,
+    roadside.signs, roadside.utility_poles, roadside.gantry, roadside.rails,
+    planting.street_trees, roadside.small_things, roadside.frontage, planting.trees,
+    planting.grass, surroundings.horizon,
+)  # fmt: skip
+"""In order of precedence: what comes first takes the place."""
+_STUFF = {LABELS[n] for n in ("terrain", "guard rail", "wall", "fence")}
+"""Classes that cannot be counted: they have no instance."""
+
+
+def _place(layout: Layout) -> list[Part]:
+    """All objects, with instance ids from 1."""
+    layout.keep_clear_of_rig()
+    ids = count(1)
+    parts: list[Part] = []
+    for step in _STEPS:
+        for model in step(layout):
+            instance = next(ids) if any(p.semantic not in _STUFF for p in model) else 0
+            parts += [replace(p, instance=instance) for p in model]
+    return parts
+
+
+_HEADLAMP = np.array([260.0, 245.0, 215.0]) * 0.012
+_STREET_LAMP = np.array([240.0, 175.0, 105.0]) * 0.012
+
+
+def _night_lamps(layout: Layout, drive: Drive) -> list[Lamp]:
+    """The rig's own headlights, and street lamps, the nearest first."""
+    T = drive.T_world_vehicle
+    ahead = T[:3, :3] @ np.array([1.0, 0.0, -0.06])
+    own = [
+        Lamp(T[:3, :3] @ np.array([0.4, y, 0.7]) + T[:3, 3], ahead, _HEADLAMP, 38.0, 18.0)
+        for y in (0.65, -0.65)
+    ]
+    if not layout.lights:
+        return own
+    heads = np.concatenate(layout.lights)
+    nearest = heads[np.argsort(np.linalg.norm(heads[:, :2] - layout.rig_xy, axis=1))]
+    down = np.array([0.0, 0.0, -1.0])
+    return own + [Lamp(xyz - [0, 0, 0.05], down, _STREET_LAMP, 75.0, 55.0) for xyz in nearest]
 
 
 WALL_KINDS = ("brick", "plaster", "concrete", "stone")

@@ -212,8 +212,8 @@ def soup():
 
 def hills():
     """Rolling ground, seen at grazing incidence."""
-    x, y = np.meshgrid(np.linspace(1, 200, 40), np.linspace(-60, 60, 9), indexing="ij")
-    z = 1.2 * np.sin(x / 9) * np.cos(y / 17)
+    x, y = np.meshgrid(np.linspace(1, 100, 40), np.linspace(-30, 30, 9), indexing="ij")
+    z = 1.2 * np.sin(x / 4) * np.cos(y / 9)
     i, j = np.meshgrid(np.arange(39) * 9, np.arange(8), indexing="ij")
     k = (i + j).ravel()
     faces = np.concatenate([np.c_[k, k + 9, k + 10], np.c_[k, k + 10, k + 1]])
@@ -226,8 +226,8 @@ def test_visibility_agrees_with_ray_casting_but_at_edges(mesh, reverse):
     vertices, faces = mesh()
     scene = scene_of([part(vertices, faces, "matte", LABELS["wall"], color=(0.5, 0.5, 0.5))])
     pair = [
-        camera((0, 1.2, 2.0), (1, 2, 3), wh=(24, 18), f_px=18.0),
-        camera((0.1, -1.2, 1.7), (-2, 1, 5), wh=(24, 18), f_px=19.0),
+        camera((0, 2.0, 1.7), (1, 2, 3), wh=(24, 18), f_px=18.0),
+        camera((2, -4.0, 1.7), (-2, 1, 5), wh=(24, 18), f_px=19.0),
     ]
     source, target = pair[::-1] if reverse else pair
     triangles = Triangles.of(vertices, faces)
@@ -240,6 +240,19 @@ def test_visibility_agrees_with_ray_casting_but_at_edges(mesh, reverse):
     assert settled.mean() > 0.98
     np.testing.assert_array_equal(status[settled], strict[0][settled])
     assert {VISIBLE, OCCLUDED} <= set(status & 7)
+
+
+def test_a_wall_does_not_hide_itself_where_its_triangles_meet():
+    """Pixel centres of both cameras lie exactly on edges and corners of the wall's triangles."""
+    y, z = np.meshgrid(np.arange(-30.0, 31), np.arange(-20.0, 21), indexing="ij")
+    i, j = np.meshgrid(np.arange(60) * 41, np.arange(40), indexing="ij")
+    k = (i + j).ravel()
+    faces = np.concatenate([np.c_[k, k + 41, k + 42], np.c_[k, k + 42, k + 1]])
+    vertices = np.stack([np.full_like(y, 16.0), y, z], axis=-1)
+    scene = scene_of([part(vertices, faces, "matte", LABELS["wall"], color=(0.5, 0.5, 0.5))])
+    left, right = camera((0, 1, 0), wh=(65, 49)), camera((0, -1, 0), wh=(65, 49))
+    expected = np.where(np.arange(65) < 2 * 48 / 16, OUT_OF_FRAME, VISIBLE)
+    np.testing.assert_array_equal(status_of(scene, left, right), np.tile(expected, (49, 1)))
 
 
 def test_one_centre_hides_nothing():

@@ -56,12 +56,12 @@ def test_bright_patches_are_rendered_where_projection_puts_them(cam, worst):
     white, black = (0.8, 0.8, 0.8), (0.0, 0.0, 0.0)
     patches = [in_view(cam, s, (1, 0, 0), (0, 1, 0.4), color=white) for s in spots]
     dark = in_view(cam, (-40, -40, 9), (80, 0, 0), (0, 80, 0), color=black)
-    radiance, *_ = render(scene_of([*patches, dark]), cam, spp=256, denoise=False, seed=1)
+    radiance, *_ = render(scene_of([*patches, dark]), cam, spp=64, denoise=False, seed=1)
     image = radiance.mean(axis=2)
-    for patch in patches:
-        outline = project(cam.K, transform_points(cam.T_cam_world, patch.vertices))
-        error = intensity_centroid(image, outline) - polygon_centroid(outline)
-        worst("centroid of a rendered patch against projection", error, 0.05)
+    outlines = [project(cam.K, transform_points(cam.T_cam_world, p.vertices)) for p in patches]
+    error = np.stack([intensity_centroid(image, o) - polygon_centroid(o) for o in outlines])
+    worst("centroid of a rendered patch against projection, each", error, 0.15)
+    worst("centroids of four rendered patches against projection", error.mean(axis=0), 0.05)
 
 
 def test_rendered_distance_is_that_of_the_pixel_centres(cam, worst):

@@ -339,6 +339,7 @@ def test_images_of_another_place_fail(pair: Frame) -> None:
 
 
 def test_depth_scaled_by_a_hundredth_fails(pair: Frame) -> None:
+    """Once flow follows the wrong depth, only the pixels know."""
     pair["depth"] *= np.float32(1.01)
     assert "flow" in failed(pair)
     consistent = pair | {"flow": add_flow(pair)["flow"][:1]}
@@ -663,6 +664,17 @@ def test_an_empty_manifest_is_an_error(tmp_path: Path) -> None:
         validate_folder(tmp_path)
 
 
+def test_a_missing_filter_is_an_error_that_names_the_package(
+    folder: Path, tiny: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with h5py.File(folder / "test-00000.h5", "r+") as shard:
+        del shard["depth"]
+        shard.create_dataset("depth", data=tiny["depth"][None], compression="gzip")
+    monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
+    with pytest.raises(UserError, match=r"'depth' is compressed with .* pip install hdf5plugin"):
+        validate_folder(folder)
+
+
 # --- the distribution of the angles -------------------------------------------------------------
 
 
@@ -702,7 +714,6 @@ def estimate_finding(du: float, dv: float, std_error: float) -> Finding:
 def test_a_pooled_estimate_is_more_certain_than_its_parts() -> None:
     rng = np.random.default_rng(3)
     noisy = [estimate_finding(0.01 + a, 0.09 + b, 0.04) for a, b in rng.normal(0, 0.04, (400, 2))]
-    assert not any(f.applies for f in noisy)
     shift, offset = _pool_photometry(noisy)
     assert shift.estimate.uv == pytest.approx([0.01, 0.09], abs=0.008)
     assert shift.estimate.std_error == pytest.approx(0.002, rel=0.2)
@@ -710,11 +721,17 @@ def test_a_pooled_estimate_is_more_certain_than_its_parts() -> None:
     assert not offset.applies
 
 
-def test_uncertain_components_are_not_judged() -> None:
-    estimate = Estimate(np.array([0.7, 0.01]), np.array([0.3, 0.001]))
-    finding = judge_estimate("photometric_shift", estimate, "a pair", 0.05)
-    assert finding.value == pytest.approx(0.01)
-    assert finding.detail == "+0.7000 ± 0.3000, +0.0100 ± 0.0010 px"
+def test_components_that_could_lie_on_either_side_of_the_limit_are_not_judged() -> None:
+    assert estimate_finding(0.07, 0.01, 0.01).value == pytest.approx(0.01)
+    undecided = estimate_finding(0.07, 0.03, 0.01)
+    assert not undecided.applies
+    assert undecided.detail == (
+        "not applicable: too uncertain: +0.0700 ± 0.0100, +0.0300 ± 0.0100 px"
+    )
+
+
+def test_a_large_shift_fails_even_where_it_is_uncertain() -> None:
+    assert not estimate_finding(-0.4, 0.0, 0.1).passed
 
 
 def test_pooling_weighs_by_certainty() -> None:

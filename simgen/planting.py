@@ -1,0 +1,81 @@
+"""Trees, shrubs and grass: in rows along the road, in clumps on open land, tufts on the verges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simgen import vegetation
+from simgen.geometry import Array
+from simgen.layout import Layout, Placed, along, edges, sunk
+from simgen.mesh import Model
+
+
+def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, float],
+          share_of_height: tuple[float, float] = (0.0, 1.0)) -> Model:  # fmt: skip
+    names = list(mix)
+    weights = np.array([mix[n] for n in names])
+    species = names[rng.choice(len(names), p=weights / weights.sum())]
+    low, high = vegetation.SPECIES[species].height_m
+    height = low + (high - low) * float(rng.uniform(*share_of_height))
+    if not layout.in_view(xy) or not layout.site.claim([(*xy[:2], 0.9)]):
+        return []
+    model = vegetation.tree(species, height_m=height, lod=layout.lod(xy), rng=rng)
+    return sunk(layout.stand(model, xy, float(rng.uniform(0, 2 * np.pi))), 0.08)
+
+
+def street_trees(layout: Layout) -> Placed:
+    """Rows of trees along the road, on wide pavements or behind the verge."""
+    rng = layout.spec.stream("street trees")
+    if layout.spec.street_trees_per_100m < 0.3:
+        return
+    spacing = 100.0 / layout.spec.street_trees_per_100m
+    town = layout.spec.road.kind == "town"
+    for lane, line in edges(layout):
+        if rng.random() < 0.25:
+            continue
+        on_pavement = lane.kind == "sidewalk" and lane.width > 2.6
+        offset = lane.width - 0.8 if on_pavement else -float(rng.uniform(3.0, 6.0))
+        mix = {"street": 1.0} if on_pavement and town else layout.spec.species
+        for point, _ in along(layout, line, spacing, rng, offset):
+            free = layout.site.clear_of(point[:2], road=0.4, pavement=-1, buildings=1.6)[0]
+            if free and rng.random() < 0.9:
+                yield _tree(layout, point, rng, mix, (0.0, 0.7))
+
+
+def trees(layout: Layout) -> Placed:
+    """Trees and shrubs on open land, in clumps."""
+    rng = layout.spec.stream("trees")
+    width, depth = 2 * 130.0, 330.0
+    num = min(MAX_TREES, int(rng.poisson(layout.spec.trees_per_hectare * width * depth / 1e4)))
+    centres = rng.uniform([-20, -130], [310, 130], (max(1, num // 6), 2))
+    xy = centres[rng.integers(len(centres), size=num)] + rng.normal(0, 9.0, (num, 2))
+    xy += layout.rig_xy
+    keep = layout.site.clear_of(xy, road=5.0, pavement=1.5, buildings=3.0)
+    for point in xy[keep]:
+        if rng.random() < 0.25:
+            yield _shrub(layout, point, rng)
+        else:
+            yield _tree(layout, point, rng, layout.spec.species)
+
+
+MAX_TREES = 420
+
+
+def _shrub(layout: Layout, xy: Array, rng: np.random.Generator) -> Model:
+    if not layout.in_view(xy) or not layout.site.claim([(*xy[:2], 0.6)]):
+        return []
+    model = vegetation.shrub(rng=rng, lod=layout.lod(xy, 25.0, 70.0))
+    return sunk(layout.stand(model, xy, float(rng.uniform(0, 6.28))), 0.05)
+
+
+def grass(layout: Layout) -> Placed:
+    """Tufts on the verges near the rig."""
+    rng = layout.spec.stream("grass")
+    near = rng.uniform([1.0, -26.0], [34.0, 26.0], (9000, 2))
+    far = rng.uniform([34.0, -45.0], [80.0, 45.0], (5000, 2))
+    xy = np.concatenate([near, far]) + layout.rig_xy
+    bare = np.sin(xy[:, 0] * 0.9) * np.sin(xy[:, 1] * 1.1) + rng.normal(0, 0.5, len(xy)) < -0.1
+    xy = xy[~bare & layout.site.clear_of(xy, road=0.25, pavement=0.15, buildings=0.3)]
+    z = layout.site.height(xy)
+    known = ~np.isnan(z)
+    yield [vegetation.grass_tufts(xy[known], z[known] - 0.02, rng=rng)]

@@ -1,0 +1,120 @@
+"""Sun, sky and haze."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from simgen import daylight
+from simgen.color import luminance
+from simgen.daylight import SKY_HW, directions, environment, sun_direction, transmittance
+from simgen.recipe import SkySpec
+
+
+def sky(elevation: float = 40.0, cover: float = 0.0, azimuth: float = 30.0) -> SkySpec:
+    return SkySpec("noon", "clear", elevation, azimuth, cover, 3.0, 3e4)
+
+
+def solid_angles() -> np.ndarray:
+    d = directions()
+    return np.sqrt(1 - d[..., 2] ** 2) * (np.pi / SKY_HW[0]) * (2 * np.pi / SKY_HW[1])
+
+
+def make(s: SkySpec) -> np.ndarray:
+    return environment(s, rng=np.random.default_rng(0))
+
+
+def test_texels_cover_the_sphere_once():
+    assert solid_angles().sum() == pytest.approx(4 * np.pi, rel=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(directions(), axis=-1), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("elevation,azimuth", [(40.0, 30.0), (5.0, -170.0), (65.0, 179.9)])
+def test_the_brightest_texel_is_the_sun(elevation, azimuth):
+    s = sky(elevation, azimuth=azimuth)
+    row, column = np.unravel_index(luminance(make(s)).argmax(), SKY_HW)
+    angle = np.rad2deg(np.arccos(directions()[row, column] @ sun_direction(s)))
+    assert angle < 0.5
+
+
+def test_the_painted_sun_carries_its_illuminance():
+    s = sky(50.0)
+    image, (clear, sun) = make(s), daylight._clear_sky(s)
+    near = (directions() @ sun_direction(s)) > np.cos(np.deg2rad(1.0))
+    excess = ((image - clear)[near] * solid_angles()[near][:, None]).sum(axis=0)
+    np.testing.assert_allclose(excess, sun, rtol=0.03)
+
+
+@pytest.mark.parametrize("elevation", [1.5, 5.0, 20.0, 65.0])
+@pytest.mark.parametrize("cover", [0.0, 0.5, 1.0])
+def test_no_sky_is_black_burnt_or_undefined(elevation, cover):
+    image = make(sky(elevation, cover))
+    assert np.isfinite(image).all()
+    assert (image >= 0).all()
+    assert luminance(image[: SKY_HW[0] // 2]).min() > 0.05
+
+
+def test_a_low_sun_is_redder_than_a_high_one():
+    low, high = (daylight.sun_transmittance(sky(e)) for e in (3.0, 60.0))
+    assert low[0] / low[2] > 2 * high[0] / high[2]
+
+
+def test_overcast_casts_no_sun():
+    s = sky(40.0, 1.0)
+    ratio = luminance(make(s)).max() / luminance(make(s)).mean()
+    assert ratio < 20
+
+
+def test_night_is_dark_but_not_black():
+    image = make(sky(-12.0))
+    assert 0 < luminance(image).mean() < 0.05
+
+
+def test_haze_at_the_visibility_leaves_two_percent():
+    assert transmittance(np.float32(5000), 5000.0) == pytest.approx(0.02, rel=1e-3)
+    assert transmittance(np.float32(0), 5000.0) == 1.0
+
+
+@pytest.mark.usefixtures("mitsuba_active")
+def test_the_renderer_sees_the_map_where_directions_say():
+    """A bright texel, seen by a Mitsuba camera that looks that way, is in the image's middle."""
+    import mitsuba as mi
+
+    from simgen.scene import _sky_dict
+
+    image = np.full((64, 128, 3), 0.01, np.float32)
+    image[20, 37] = 100.0
+    direction = directions((64, 128))[20, 37].astype(float)
+    sensor = {"type": "perspective", "fov": 40.0,
+              "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], direction.tolist(), [0, 0, 1]),
+              "film": {"type": "hdrfilm", "width": 33, "height": 33, "rfilter": {"type": "box"}}}  # fmt: skip
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "sensor": sensor,
+                          "sky": _sky_dict(image)})  # fmt: skip
+    seen = np.array(mi.render(scene, spp=16))[..., 0]
+    assert seen.max() > 10, "the bright texel is not in view at all"
+    v, u = np.indices(seen.shape)
+    assert (u * seen).sum() / seen.sum() == pytest.approx(16.0, abs=0.6)
+    assert (v * seen).sum() / seen.sum() == pytest.approx(16.0, abs=0.6)
+
+
+@pytest.mark.usefixtures("mitsuba_active")
+def test_our_sky_agrees_with_mitsubas():
+    """Preetham (ours) against Hosek & Wilkie (sunsky): brighter and darker in the same places."""
+    import mitsuba as mi
+
+    s = sky(35.0)
+    emitter = {"type": "sunsky", "sun_scale": 0.0, "turbidity": s.turbidity,
+               "sun_direction": mi.ScalarVector3f(*sun_direction(s).tolist())}  # fmt: skip
+    look = [0.3, -0.8, 0.5]
+    sensor = {"type": "perspective", "fov": 90.0,
+              "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], look, [0, 0, 1]),
+              "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}}}  # fmt: skip
+    integrator = {"type": "path", "max_depth": 1}
+    from simgen.scene import _sky_dict
+
+    views = []
+    for source in (emitter, _sky_dict(daylight._clear_sky(s)[0])):
+        scene = mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor,
+                              "emitter": source})  # fmt: skip
+        views.append(luminance(np.array(mi.render(scene, spp=16))[:14, :, :3]).ravel())
+    assert np.corrcoef(np.log(views[0]), np.log(views[1]))[0, 1] > 0.9

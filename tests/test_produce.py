@@ -1,0 +1,136 @@
+"""A frame follows from its number alone: same bits alone, in a set, in any order, anywhere."""
+
+from __future__ import annotations
+
+import multiprocessing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simgen import engine, export
+from simgen.checks import check_frame
+from simgen.config import Job, RenderOptions, resolve
+from simgen.produce import draw_spec, make_frame, plan_frame, render_frame_file, scene_of
+from simgen.run import FrameTask
+from simgen.store import content_sha256, stored_content, write_frame
+
+OPTIONS = RenderOptions(n=3, size="64x48", recipes="rural", daylight="noon", spp=1)
+
+
+@pytest.fixture(scope="module")
+def job(mitsuba_active: None) -> Job:
+    import mitsuba as mi
+
+    return resolve(OPTIONS, mi.variant())
+
+
+@pytest.fixture(scope="module")
+def frames(job: Job) -> dict[int, dict[str, object]]:
+    """Frames 1 and 0, rendered in this order."""
+    return {i: make_frame(job, i, attempt=0)[0] for i in (1, 0)}
+
+
+def test_a_frame_does_not_depend_on_what_was_rendered_before(job, frames):
+    alone, _ = make_frame(job, 1, attempt=0)
+    assert content_sha256(alone) == content_sha256(frames[1])
+
+
+def _in_other_process(job: Job, index: int, path: Path) -> None:
+    engine.activate(engine.choose(job.variant))
+    render_frame_file(FrameTask(job, index, 0, path))
+
+
+def test_another_process_renders_the_same_bits(job, frames, tmp_path):
+    path = tmp_path / "frame.h5"
+    child = multiprocessing.get_context("spawn").Process(
+        target=_in_other_process, args=(job, 0, path)
+    )
+    child.start()
+    child.join()
+    assert child.exitcode == 0
+    assert stored_content(path) == content_sha256(frames[0])
+
+
+def test_another_seed_attempt_or_index_is_another_frame(job, frames):
+    images = [frames[0]["image"], frames[1]["image"]]
+    images.append(make_frame(replace(job, seed=1), 0, attempt=0)[0]["image"])
+    images.append(make_frame(job, 0, attempt=1)[0]["image"])
+    for i, a in enumerate(images):
+        for b in images[i + 1 :]:
+            assert not np.array_equal(a, b)
+
+
+def test_every_frame_passes_the_thorough_check(job, frames):
+    pairs = np.array(job.rig.pairs, dtype=np.uint8)
+    for frame in frames.values():
+        failed = [f for f in check_frame(frame, pairs, thorough=True) if not f.passed]
+        assert not failed
+
+
+def test_images_are_exposed(frames):
+    for frame in frames.values():
+        assert 40 < frame["image"].mean() < 215
+        assert frame["image"].std() > 15
+
+
+def test_frames_of_a_scene_share_the_road_but_not_the_rig(job):
+    drive = replace(job, frames_per_scene=2)
+    first, second = plan_frame(drive, 2, 0), plan_frame(drive, 3, 0)
+    assert first.spec == second.spec
+    ahead = second.drive.T_world_vehicle[:3, 3] - first.drive.T_world_vehicle[:3, 3]
+    assert 2.0 < np.linalg.norm(ahead) < 4.0
+    assert not np.array_equal(first.posed.perturbation_deg, second.posed.perturbation_deg)
+
+
+def test_scene_index_counts_whole_scenes():
+    assert [scene_of(i, 4) for i in (0, 3, 4, 11)] == [0, 0, 1, 2]
+
+
+def test_recipes_are_drawn_by_their_shares(job):
+    mixed = resolve(replace(OPTIONS, recipes=""), job.variant)
+    names = [draw_spec(mixed, i, 0).recipe for i in range(400)]
+    total = sum(r.share for r in mixed.recipes.values())
+    for name, recipe in mixed.recipes.items():
+        expected = recipe.share / total
+        sigma = np.sqrt(expected * (1 - expected) / 400)
+        assert abs(names.count(name) / 400 - expected) < 4 * sigma
+
+
+def test_export_round_trips(job, frames, tmp_path, monkeypatch):
+    """What the EXR files hold is what the shard holds, and their radiance develops to its image."""
+    from simgen import sensor
+    from simgen.recipe import stream
+    from simgen.run import SetFolder, plan
+    from simgen.shards import ShardSet
+    from simgen.store import assemble
+
+    waiting = tmp_path / "waiting.h5"
+    write_frame(waiting, frames[0], pairs=job.rig.pairs, compression="gzip")
+    folder = SetFolder(tmp_path / "set")
+    folder.path.mkdir()
+    manifest = folder.open_manifest(job.content(), 16, 3)
+    attributes = {"schema_version": 1}
+    entry = assemble(folder.path / "test-00000.h5", [(waiting, 0)], attributes=attributes,
+                     split="test", compression="gzip")  # fmt: skip
+    replace(manifest, shards=[entry]).save(folder.path)
+    assert plan(3, 3, frames_per_scene=1, frames_per_shard=16, split="all").frames == [0]
+
+    monkeypatch.setattr(export.engine, "activate", lambda chosen: None)
+    paths = export.export_frame(folder.path, 0, tmp_path / "out")
+    frame = ShardSet(folder.path)[0]
+    rng = stream(job.seed, 0, 0, "sensor")
+    sensor.draw_exposures(job.sensor, 1.0, 3, rng=rng)
+    for c in range(3):
+        exr = export.read_exr(tmp_path / "out" / f"camera-{c}.exr")
+        np.testing.assert_array_equal(exr["depth.Z"], frame.depth[c])
+        np.testing.assert_array_equal(exr["id.instance"], frame.instance[c])
+        np.testing.assert_array_equal(exr["id.semantic"], frame.semantic[c])
+        radiance = np.stack([exr[k] for k in "RGB"], axis=-1)
+        exposure = sensor.Exposure(**frame.spec["exposure"][c])
+        np.testing.assert_array_equal(sensor.develop(radiance, exposure, rng=rng), frame.image[c])
+    pair = export.read_exr(tmp_path / "out" / "pair-0-2.exr")
+    np.testing.assert_array_equal(np.stack([pair["flow.u"], pair["flow.v"]], -1), frame.flow(2))
+    np.testing.assert_array_equal(pair["status.reverse"], frame.flow_status_reverse[2])
+    assert all(path.exists() for path in paths)
