@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +25,7 @@ from simgen.rig import Rig
 from simgen.sensor import SENSORS
 
 MIN_SIZE, MAX_SIZE = (16, 16), (16384, 16384)
+MAX_PAIRS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -146,21 +148,21 @@ def resolve(options: RenderOptions, variant: str) -> Job:
     """
     _check_numbers(options)
     rig_name, rig = load_rig(options.rig)
-    recipes = dict(load_recipe(name) for name in _names(options.recipes) or tuple(recipe_names()))
-    wh = parse_size(options.size) if options.size else rig.size
+    recipes, daylight, weather = (_names(getattr(options, kind))
+                                  for kind in ("recipes", "daylight", "weather"))  # fmt: skip
     return Job(
         seed=options.seed,
         rig_name=rig_name,
         rig=rig,
-        wh=wh,
+        wh=parse_size(options.size or f"{rig.size[0]}x{rig.size[1]}"),
         spp=options.spp,
         denoise=options.denoise,
         sensor=options.sensor,
-        recipes=_with_positive_share(recipes),
-        daylight=_with_positive_share(
-            load_presets("daylight", DaylightTable, _names(options.daylight))
+        recipes=_taking_part(_load_recipes(recipes or recipe_names()), named=bool(recipes)),
+        daylight=_taking_part(
+            load_presets("daylight", DaylightTable, daylight), named=bool(daylight)
         ),
-        weather=_with_positive_share(load_presets("weather", WeatherTable, _names(options.weather))),
+        weather=_taking_part(load_presets("weather", WeatherTable, weather), named=bool(weather)),
         frames_per_scene=options.frames_per_scene,
         flow=options.flow,
         compression=options.compression,
@@ -174,12 +176,14 @@ def _check_numbers(options: RenderOptions) -> None:
         if getattr(options, name) < 1:
             flag = "--" + name.replace("_", "-")
             raise UserError(f"{flag} {getattr(options, name)}: expected a whole number from 1 on.")
-    if options.seed < 0:
-        raise UserError(f"--seed {options.seed}: expected a whole number from 0 on.")
+    if options.n > MAX_PAIRS:
+        raise UserError(f"--n {options.n}: expected at most {MAX_PAIRS} pairs.")
+    if not 0 <= options.seed < 1 << 63:
+        raise UserError(f"--seed {options.seed}: expected a whole number from 0 to 2^63 - 1.")
     if options.spp & (options.spp - 1) or options.spp > 4096:
         raise UserError(
-            f"--spp {options.spp}: expected a power of two up to 4096 (1, 2, 4, 8, …); other counts "
-            "would recompile the renderer's kernels."
+            f"--spp {options.spp}: expected a power of two up to 4096 (1, 2, 4, 8, …); other "
+            "counts would recompile the renderer's kernels."
         )
     if options.sensor not in SENSORS:
         raise UserError(f"--sensor {options.sensor}: expected one of {', '.join(SENSORS)}.")
@@ -192,15 +196,26 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _with_positive_share(tables: dict[str, Any]) -> dict[str, Any]:
-    """Drops what has no share; if everything has none (it was named), all get the same."""
-    if any(t.share > 0 for t in tables.values()):
-        return {k: t for k, t in tables.items() if t.share > 0}
-    return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
+def _load_recipes(names: Sequence[str]) -> dict[str, Recipe]:
+    recipes: dict[str, Recipe] = {}
+    for name in names:
+        stem, recipe = load_recipe(name)
+        if recipes.setdefault(stem, recipe) != recipe:
+            raise UserError(
+                f"--recipes: two different files are called {stem}. Rename one of them."
+            )
+    return recipes
+
+
+def _taking_part(tables: dict[str, Any], *, named: bool) -> dict[str, Any]:
+    """Drops what has no share, unless it was named: then all that were named get the same."""
+    if named and any(t.share == 0 for t in tables.values()):
+        return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
+    return {k: t for k, t in tables.items() if t.share > 0}
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """(width, height) from "2560x1440"; UserError if malformed, odd or out of range."""
+    """(width, height) from "2560x1440"; UserError if malformed or out of range."""
     match = re.fullmatch(r"(\d+)[x×](\d+)", text.strip().lower())
     if match is None:
         raise UserError(f"--size {text!r}: expected WIDTHxHEIGHT in pixels, like 2560x1440.")

@@ -116,7 +116,8 @@ def rectifying_rotations(T_right_left: Array) -> tuple[Array, Array]:
     """Rotations ``(R_rect_left, R_rect_right)`` that make the pair's image rows epipolar lines.
 
     Both cameras get the same orientation: x along the baseline (left to right), z as close to
-    the mean of the two optical axes as that allows. Raises ValueError for a zero baseline.
+    the mean of the two optical axes as that allows. Raises ValueError for a zero baseline,
+    or one along the viewing direction.
 
     Source: Fusiello, Trucco, Verri, *A compact algorithm for rectification of stereo pairs*, 2000.
     """
@@ -128,6 +129,8 @@ def rectifying_rotations(T_right_left: Array) -> tuple[Array, Array]:
     x = baseline_left / length
     z_mean = np.array([0.0, 0.0, 1.0]) + R.T @ np.array([0.0, 0.0, 1.0])
     y = np.cross(z_mean, x)
+    if np.linalg.norm(y) < 1e-9:
+        raise ValueError("rectifying_rotations: the baseline runs along the viewing direction")
     y /= np.linalg.norm(y)
     R_rect_left = np.stack([x, y, np.cross(x, y)])
     return R_rect_left, R_rect_left @ R.T

@@ -136,8 +136,7 @@ def _sees(scene: Scene, target: View, uv: Array, own_face: NDArray[np.int64],
 
     _over_rows(measure, len(uv), block=1 << 16)
     same_place = hit_inverse_depth <= own_inverse_depth * (1 + SAME_SURFACE_REL)
-    return np.where(own_face == NO_FACE, hit == NO_FACE,
-                    (hit == own_face) | (hit == NO_FACE) | same_place)  # fmt: skip
+    return (hit == own_face) | (hit == NO_FACE) | same_place  # the sky's inverse depth is 0
 
 
 class _Projection:
@@ -174,10 +173,10 @@ def _rays_from_pixels(camera: Camera) -> Array:
 
 
 def _inverse_depth_coeffs(faces: FaceTable, camera: Camera) -> Array:
-    """(F, 3): 1/z = coeffs · (u, v, 1) for each face's plane; one extra row of 0 is not needed.
+    """(F, 3): 1/z = coeffs · (u, v, 1) for each face's plane.
 
-    n·x = d with x = c + z M (u, v, 1) gives 1/z = n M (u, v, 1) / (d − n·c). A camera centre in
-    the plane sees the face edge-on, never at a pixel: its row is 0.
+    n·x = d with x = c + z M (u, v, 1) gives 1/z = n M (u, v, 1) / (d − n·c). A face whose
+    plane holds the camera's centre is seen edge-on, which is no surface: its row is 0.
     """
     normal, d = faces.plane[:, :3], faces.plane[:, 3]
     offset = d - normal @ camera.centre
@@ -198,6 +197,8 @@ def _over_rows(work: Callable[[slice], None], num: int, block: int = _ROWS) -> N
 
 def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
     """The first face id (N,) along each ray from ``origin``, NO_FACE where none."""
+    if len(directions) == 0:  # Dr.Jit aborts the process on an empty batch
+        return np.empty(0, dtype=np.int64)
     if mi.variant().startswith("scalar"):
         return _trace_scalar(scene, origin, directions)
     return _trace_wavefront(scene, origin, directions)

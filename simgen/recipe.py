@@ -27,17 +27,20 @@ from simgen.errors import UserError
 class Table(BaseModel):
     """A TOML table: unknown keys are errors, values are immutable."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 Interval = tuple[float, float]
 """[low, high]; a value is drawn uniformly in between"""
 
 
+Bounds = TypeVar("Bounds", tuple[float, float], tuple[int, int])
+
+
 def within(low: float, high: float) -> AfterValidator:
     """Requires an interval to be ordered and inside [low, high]."""
 
-    def check(value: Interval) -> Interval:
+    def check(value: Bounds) -> Bounds:
         if not low <= value[0] <= value[1] <= high:
             raise ValueError(f"expected [low, high] with {low:g} <= low <= high <= {high:g}")
         return value
@@ -48,7 +51,7 @@ def within(low: float, high: float) -> AfterValidator:
 def _check_shares(shares: dict[str, float]) -> dict[str, float]:
     if not shares or min(shares.values()) < 0 or sum(shares.values()) <= 0:
         raise ValueError("expected shares >= 0, of which at least one is positive")
-    return shares
+    return dict(sorted(shares.items()))
 
 
 def one_of(*allowed: str) -> AfterValidator:
@@ -65,6 +68,11 @@ def one_of(*allowed: str) -> AfterValidator:
 
 Shares = dict[str, float]
 """name → weight, need not add up to 1"""
+SPECIES = ("broadleaf", "poplar", "birch", "spruce", "pine", "street")
+"""trees that simgen.vegetation can grow"""
+FAMILIES = ("hatchback", "saloon", "estate", "suv", "van", "box_truck", "semi_trailer", "bus",
+            "motorcycle")  # fmt: skip
+"""vehicles that simgen.vehicles can build"""
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -74,9 +82,10 @@ def draw(interval: Interval, *, rng: np.random.Generator) -> float:
 
 
 def pick(shares: Mapping[str, float], *, rng: np.random.Generator) -> str:
-    """A name drawn in proportion to its share."""
-    weights = np.array(list(shares.values()), dtype=np.float64)
-    return str(rng.choice(list(shares), p=weights / weights.sum()))
+    """A name drawn in proportion to its share, whatever the order that they are stated in."""
+    names = sorted(shares)
+    weights = np.array([shares[name] for name in names], dtype=np.float64)
+    return str(rng.choice(names, p=weights / weights.sum()))
 
 
 def stream(seed: int, index: int, attempt: int, name: str) -> np.random.Generator:
@@ -133,7 +142,7 @@ class VegetationTable(Table):
     """trees on open land"""
     hedges: Probability
     """probability of a hedge along a stretch of frontage"""
-    species: Shares
+    species: Annotated[Shares, one_of(*SPECIES)]
 
 
 class TrafficTable(Table):
@@ -143,7 +152,7 @@ class TrafficTable(Table):
     """vehicles per lane and km"""
     parked: Annotated[Interval, within(0.0, 1.0)]
     """share of parking bays that are taken"""
-    families: Shares
+    families: Annotated[Shares, one_of(*FAMILIES)]
 
 
 class FurnitureTable(Table):
@@ -163,7 +172,7 @@ class FurnitureTable(Table):
 class BackgroundTable(Table):
     """[background]"""
 
-    skyline: Annotated[tuple[int, int], Field()]
+    skyline: Annotated[tuple[int, int], within(0, 400)]
     """number of distant buildings"""
     relief_m: Annotated[Interval, within(0.0, 400.0)]
     """height of the far hills"""

@@ -84,8 +84,13 @@ def through_haze(radiance: Image, features: Features, haze: Image, visibility_m:
 
 
 def load_sensor(camera: Camera) -> Any:
-    """A Mitsuba pinhole with a box filter for one of our cameras."""
+    """A Mitsuba pinhole with a box filter for one of our cameras.
+
+    Raises ValueError for pixels that are not square, which Mitsuba cannot have.
+    """
     (w, h), K = camera.wh, camera.K
+    if not (np.isclose(K[0, 0], K[1, 1], rtol=1e-12) and K[0, 1] == 0):
+        raise ValueError(f"load_sensor: expected fx = fy and no skew, got K = {K.tolist()}")
     to_world = camera.T_world_cam.copy()
     to_world[:3, :3] = to_world[:3, :3] @ FLIP
     # Principal point: Mitsuba counts from the image's outer corner, in shares of the image.
@@ -96,7 +101,7 @@ def load_sensor(camera: Camera) -> Any:
             "fov": float(np.rad2deg(2 * np.arctan(0.5 * w / K[0, 0]))),
             "principal_point_offset_x": float(0.5 - (K[0, 2] + 0.5) / w),
             "principal_point_offset_y": float(0.5 - (K[1, 2] + 0.5) / h),
-            "near_clip": 0.05,
+            "near_clip": 1e-3,  # Mitsuba measures distance from there
             "far_clip": 1e4,
             "to_world": mi.ScalarTransform4f(to_world),
             "film": {

@@ -51,13 +51,15 @@ class Rig(Table):
     """A nominal rig, as scenes/rigs/*.toml states it."""
 
     intent: str
-    camera_y_m: Annotated[list[float], Field(min_length=2, max_length=16)]
+    camera_y_m: Annotated[
+        list[Annotated[float, Field(ge=-10, le=10)]], Field(min_length=2, max_length=16)
+    ]
     """positions across the vehicle, left is positive, from left to right"""
     height_m: Annotated[Interval, within(0.3, 6.0)]
     """drawn per frame: height of the bar over the ground"""
     pairs: Annotated[list[tuple[int, int]], Field(min_length=1)]
     """camera indices (left, right)"""
-    size: tuple[int, int]
+    size: tuple[Annotated[int, Field(ge=16)], Annotated[int, Field(ge=16)]]
     """native image size (width, height) [px]"""
     hfov_deg: Annotated[float, Field(ge=10.0, le=140.0)]
     """horizontal field of view"""
@@ -71,6 +73,8 @@ class Rig(Table):
         num = len(self.camera_y_m)
         if any(b >= a for a, b in zip(self.camera_y_m, self.camera_y_m[1:], strict=False)):
             raise ValueError("camera_y_m must fall from left (+) to right (−), no two equal")
+        if len(set(self.pairs)) != len(self.pairs):
+            raise ValueError("pairs names the same pair twice")
         for left, right in self.pairs:
             if not 0 <= left < right < num:
                 raise ValueError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import functools
 import json
 import multiprocessing
 import shutil
@@ -17,18 +18,19 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pebble import ProcessExpired, ProcessPool
+from pebble import ProcessPool
 
 from simgen import __version__
 from simgen.errors import UserError
 from simgen.schema import SCHEMA_VERSION
-from simgen.shards import MANIFEST, Manifest, ShardEntry
-from simgen.store import Source, assemble, is_finished_frame, row_of
+from simgen.shards import MANIFEST, Manifest, ShardEntry, open_shard
+from simgen.store import Source, assemble, stored_content
 
 FRAMES_DIR = ".frames"
 LOCK = ".lock"
@@ -138,14 +140,9 @@ class SetFolder:
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Makes the folder ours; UserError if it cannot be written, or another run has it."""
-        try:
+        with self._writing():
             (self.path / FRAMES_DIR).mkdir(parents=True, exist_ok=True)
             lock = open(self.path / LOCK, "w")  # noqa: SIM115
-        except OSError as error:
-            raise UserError(
-                f"{self.path}: cannot write here ({error.strerror}). Choose another folder with "
-                "--out, or mend its permissions."
-            ) from error
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -156,11 +153,23 @@ class SetFolder:
                 ) from error
             yield
 
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise UserError(
+                f"{self.path}: cannot write here ({error.strerror}). Choose another folder with "
+                "--out, or mend its permissions."
+            ) from error
+
     def check_is_ours(self) -> None:
         """UserError if the folder holds files but no set."""
-        if not self.path.is_dir() or (self.path / MANIFEST).exists():
+        with self._writing():
+            names = sorted(p.name for p in self.path.iterdir()) if self.path.is_dir() else []
+        foreign = [name for name in names if name not in (FRAMES_DIR, LOCK)]
+        if MANIFEST in names:
             return
-        foreign = sorted(p.name for p in self.path.iterdir() if p.name not in (FRAMES_DIR, LOCK))
         if foreign:
             raise UserError(
                 f"{self.path}: holds files that simgen did not write ({', '.join(foreign[:3])}"
@@ -171,12 +180,17 @@ class SetFolder:
     def open_manifest(self, config: dict[str, Any], frames_per_shard: int, n: int) -> Manifest:
         """The manifest to go on with; UserError if the folder was made with other options."""
         if not (self.path / MANIFEST).exists():
-            fresh = Manifest(SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n)
+            for path in (self.path / FRAMES_DIR).glob("*.h5"):
+                path.unlink()  # without a manifest, nobody knows how they were made
+            fresh = Manifest(
+                SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n
+            )
             fresh.save(self.path)
             return fresh
         found = Manifest.load(self.path)
-        differences = _differences({**found.config, "frames_per_shard": found.frames_per_shard},
-                                   {**config, "frames_per_shard": frames_per_shard})  # fmt: skip
+        own = {"frames_per_shard": frames_per_shard, "package_version": __version__}
+        differences = _differences({**found.config, **{k: getattr(found, k) for k in own}},
+                                   {**config, **own})  # fmt: skip
         if differences:
             raise UserError(
                 f"{self.path}: was rendered with other options: {'; '.join(differences)}. Ask for "
@@ -216,9 +230,9 @@ def check_disk(path: Path, bytes_needed: float, *, force: bool) -> None:
     free = shutil.disk_usage(existing).free
     if bytes_needed > free and not force:
         raise UserError(
-            f"{path}: the set needs about {bytes_needed / 1e9:.1f} GB, but only {free / 1e9:.1f} GB "
-            "are free. Free some space, choose another disk with --out, a smaller --n or --size, "
-            "--no-flow or --compression zstd, or start anyway with --force."
+            f"{path}: the set needs about {bytes_needed / 1e9:.1f} GB, but only "
+            f"{free / 1e9:.1f} GB are free. Free some space, choose another disk with "
+            "--out, a smaller --n or --size, --no-flow or --compression zstd, or start anyway with --force."
         )
 
 
@@ -255,15 +269,26 @@ class _State:
     attributes: dict[str, Any]
     compression: str
     attempts: dict[int, int] = field(default_factory=dict)
-    deaths: dict[int, int] = field(default_factory=dict)
+    faults: dict[int, int] = field(default_factory=dict)
 
-    def in_shards(self) -> dict[int, str]:
+    def in_shards(self) -> dict[int, ShardEntry]:
         """Frames that are in a finished shard, and which."""
-        return {i: s.name for s in self.manifest.shards for i in s.frames}
+        return {i: s for s in self.manifest.shards for i in s.frames}
 
     def save(self, **changes: Any) -> None:
+        """Changes the manifest, and writes it in an order that does not tell who was first."""
         self.manifest = replace(self.manifest, **changes)
+        self.manifest = replace(
+            self.manifest,
+            shards=sorted(self.manifest.shards, key=lambda s: (s.split != "train", s.name)),
+            redrawn=sorted(self.manifest.redrawn, key=lambda r: (r["frame_index"], r["attempt"])),
+            failures=sorted(self.manifest.failures, key=lambda f: int(f["frame_index"])),
+        )
         self.manifest.save(self.folder.path)
+
+    def failed(self) -> set[int]:
+        """Frames that could not be made."""
+        return {f["frame_index"] for f in self.manifest.failures}
 
 
 def render_set(
@@ -284,41 +309,52 @@ def render_set(
     """
     progress = progress or Progress()
     state = _State(folder, set_plan, manifest, attributes, compression)
-    _drop_broken_shards(state, progress)
-    folder.clean(set(state.in_shards()))
-    state.save(failures=[])
-    done = set(state.in_shards())
-    finished = {i for i in set_plan.frames
-                if i in done or is_finished_frame(folder.frame_path(i))}  # fmt: skip
-    _assemble_complete(state, finished)
-    todo = [i for i in set_plan.frames if i not in finished]
-    progress.started(len(finished), len(set_plan.frames))
-    if todo:
-        with _stoppable():
-            _render(job, todo, state, pool, finished, progress)
-    _assemble_complete(state, finished, partial=True)
+    with _stoppable(), _full_disk_explained(folder.path):
+        _restore(state, progress)
+        folder.clean(set(state.in_shards()))
+        finished = {i for i in set_plan.frames
+                    if i in state.in_shards() or stored_content(folder.frame_path(i))}  # fmt: skip
+        _assemble_complete(state, finished)
+        todo = [i for i in set_plan.frames if i not in finished]
+        progress.started(len(finished), len(set_plan.frames))
+        _render(job, todo, state, pool, finished, progress)
+        _assemble_complete(state, finished, partial=True)
     return state.manifest
 
 
-def _drop_broken_shards(state: _State, progress: Progress) -> None:
-    """Forgets shards that are gone or of another size than written: their frames are redone."""
+def _restore(state: _State, progress: Progress) -> None:
+    """Takes up what an earlier run left: forgets broken shards, tries failed frames again."""
     kept = []
     for shard in state.manifest.shards:
-        path = state.folder.path / shard.name
-        if path.exists() and (path.stat().st_size == shard.bytes or _holds(path, shard.frames)):
-            kept.append(shard)
+        if (entry := _intact(state, shard)) is not None:
+            kept.append(entry)
         else:
+            path = state.folder.path / shard.name
             progress.note(f"{path} is missing or damaged: its frames are rendered again.")
             path.unlink(missing_ok=True)
-    state.manifest = replace(state.manifest, shards=kept)
+    retried = state.failed() & set(state.plan.frames)
+    redrawn = [r for r in state.manifest.redrawn if r["frame_index"] not in retried]
+    failures = [f for f in state.manifest.failures if f["frame_index"] not in retried]
+    state.attempts = {r["frame_index"]: r["attempt"] + 1 for r in redrawn}
+    state.save(shards=kept, redrawn=redrawn, failures=failures)
 
 
-def _holds(path: Path, frames: Sequence[int]) -> bool:
-    """Whether a shard can be read and has the frames (it was replaced by a longer one)."""
+def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
+    """The entry of a shard that is as it was written, or could be made so from its own rows.
+
+    A run that is killed between replacing a shard and saying so leaves a longer one.
+    """
+    path = state.folder.path / shard.name
+    if path.exists() and path.stat().st_size == shard.bytes:
+        return shard
     try:
-        return all(row_of(path, i) is not None for i in frames)
-    except UserError:
-        return False
+        with open_shard(path) as file:
+            rows = {int(index): row for row, index in enumerate(file["frame_index"][:])}
+        sources = [Source(path, rows[i], content)
+                   for i, content in zip(shard.frames, shard.content, strict=True)]  # fmt: skip
+        return _assembled(state, shard.name, shard.split, sources)
+    except (UserError, KeyError):
+        return None
 
 
 def _render(
@@ -326,25 +362,21 @@ def _render(
 ) -> None:
     queue = list(reversed(todo))
     running: dict[Any, FrameTask] = {}
-    processes = ProcessPool(
-        max_workers=pool.workers,
-        max_tasks=pool.recycle,
-        initializer=_start_worker,
-        initargs=(pool.initializer, pool.initargs),
-        context=multiprocessing.get_context("spawn"),
-    )
+    processes = _processes(pool)
     try:
         while queue or running:
+            if not processes.active:  # pebble gives up when a process dies while all are idle
+                processes = _processes(pool)
             while queue and len(running) < pool.workers:
                 index = queue.pop()
                 task = FrameTask(job, index, state.attempts.get(index, 0),
                                  state.folder.frame_path(index))  # fmt: skip
-                running[processes.schedule(pool.render_one, args=[task])] = task
+                running[processes.schedule(_work, args=[pool, task])] = task
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 if _settle(future, task, state, progress):
                     finished.add(task.index)
-                elif not any(f["frame_index"] == task.index for f in state.manifest.failures):
+                elif task.index not in state.failed():
                     queue.append(task.index)
             _assemble_complete(state, finished)
     finally:
@@ -352,38 +384,39 @@ def _render(
         processes.join()
 
 
+def _processes(pool: Pool) -> ProcessPool:
+    return ProcessPool(
+        max_workers=pool.workers,
+        max_tasks=pool.recycle,
+        initializer=_start_worker,
+        context=multiprocessing.get_context("spawn"),
+    )
+
+
 def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> bool:
     """Takes a worker's answer; True if the frame is done."""
     try:
         result: FrameResult = future.result()
-    except ProcessExpired as death:
-        _worker_died(death, task, state, progress)
-        return False
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise UserError(
-                f"{state.folder.path}: the disk is full. All finished frames are kept; free some "
-                "space and run the same command again."
-            ) from error
-        _redraw([f"{type(error).__name__}: {error}"], task, state, progress)
-        return False
     except UserError:
         raise
     except FrameRejected as rejection:
         _redraw(rejection.reasons, task, state, progress)
-        return False
+    except (OSError, MemoryError, BrokenProcessPool) as fault:  # ProcessExpired is an OSError
+        if _is_full_disk(fault):
+            raise
+        _redo(fault, task, state, progress)
     except Exception as error:  # one scene that cannot be built must not end a long run
         _redraw([f"{type(error).__name__}: {error}"], task, state, progress)
-        return False
-    _log(state, {**asdict(result), "host": socket.gethostname(), "time": time.time()})
-    progress.frame_done(result)
-    return True
+    else:
+        _log(state, {**asdict(result), "host": socket.gethostname(), "time": time.time()})
+        progress.frame_done(result)
+        return True
+    return False
 
 
 def _redraw(reasons: Sequence[str], task: FrameTask, state: _State, progress: Progress) -> None:
     """Counts a failed attempt; the next one is drawn from (seed, i, attempt + 1)."""
-    record = {"frame_index": task.index, "attempt": task.attempt, "reasons": list(reasons),
-              "seed": state.manifest.dataset_seed}  # fmt: skip
+    record = _record(reasons, task, state)
     _log(state, {**record, "time": time.time()})
     if task.attempt + 1 >= MAX_ATTEMPTS:
         progress.note(f"Frame {task.index} failed {MAX_ATTEMPTS} times: {'; '.join(reasons)}")
@@ -394,15 +427,20 @@ def _redraw(reasons: Sequence[str], task: FrameTask, state: _State, progress: Pr
         state.save(redrawn=[*state.manifest.redrawn, record])
 
 
-def _worker_died(death: Exception, task: FrameTask, state: _State, progress: Progress) -> None:
-    deaths = state.deaths[task.index] = state.deaths.get(task.index, 0) + 1
-    progress.note(f"The worker of frame {task.index} died ({death}); the frame is redone.")
-    _log(state, {"frame_index": task.index, "worker_died": str(death), "time": time.time()})
-    if deaths >= MAX_ATTEMPTS:
-        reason = f"the worker process died {deaths} times on this frame (out of memory?)"
-        record = {"frame_index": task.index, "attempt": task.attempt, "reasons": [reason],
-                  "seed": state.manifest.dataset_seed}  # fmt: skip
-        state.save(failures=[*state.manifest.failures, record])
+def _redo(fault: Exception, task: FrameTask, state: _State, progress: Progress) -> None:
+    """Counts a fault of the machine, not of the draw: the same attempt is made again."""
+    faults = state.faults[task.index] = state.faults.get(task.index, 0) + 1
+    reason = f"worker of frame {task.index}: {type(fault).__name__}: {fault}"
+    progress.note(f"{reason}; the frame is redone.")
+    _log(state, {"frame_index": task.index, "fault": reason, "time": time.time()})
+    if faults >= MAX_ATTEMPTS:
+        reason = f"{reason}, {faults} times (out of memory?)"
+        state.save(failures=[*state.manifest.failures, _record([reason], task, state)])
+
+
+def _record(reasons: Sequence[str], task: FrameTask, state: _State) -> dict[str, Any]:
+    return {"frame_index": task.index, "attempt": task.attempt, "reasons": list(reasons),
+            "seed": state.manifest.dataset_seed}  # fmt: skip
 
 
 def _log(state: _State, record: dict[str, Any]) -> None:
@@ -413,51 +451,60 @@ def _log(state: _State, record: dict[str, Any]) -> None:
 def _assemble_complete(state: _State, finished: set[int], partial: bool = False) -> None:
     """Assembles every shard whose frames are all there (or, at the end, what is there)."""
     in_shards = state.in_shards()
-    failed = {f["frame_index"] for f in state.manifest.failures}
     for shard in state.plan.shards:
         ready = [i for i in shard.frames if i in finished]
-        complete = len(ready) == len(shard.frames) or (
-            partial and all(i in finished or i in failed for i in shard.frames)
-        )
-        if ready and (complete or partial) and any(i not in in_shards for i in ready):
-            _assemble_one(state, shard, ready)
+        complete = len(ready) == len(shard.frames)
+        if (complete or partial) and any(i not in in_shards for i in ready):
+            sources = [_source(state, i) for i in ready]
+            entry = _assembled(state, shard.name, shard.split, sources)
+            others = [s for s in state.manifest.shards if s.name != shard.name]
+            state.save(shards=[*others, entry])
+            for i in ready:
+                state.folder.frame_path(i).unlink(missing_ok=True)
 
 
-def _assemble_one(state: _State, shard: ShardPlan, ready: Sequence[int]) -> None:
-    path = state.folder.path / shard.name
-    sources = [_source(state, path, i) for i in ready]
-    entry = assemble(
-        path, sources, attributes=state.attributes, split=shard.split, compression=state.compression
-    )
-    others = [s for s in state.manifest.shards if s.name != shard.name]
-    state.save(shards=_in_order(state.plan, [*others, entry]))
-    for i in ready:
-        state.folder.frame_path(i).unlink(missing_ok=True)
+def _assembled(state: _State, name: str, split: str, sources: Sequence[Source]) -> ShardEntry:
+    return assemble(state.folder.path / name, sources, attributes=state.attributes, split=split,
+                    compression=state.compression)  # fmt: skip
 
 
-def _in_order(set_plan: SetPlan, entries: Sequence[ShardEntry]) -> list[ShardEntry]:
-    return sorted(entries, key=lambda e: (e.split != "train", e.name))
-
-
-def _source(state: _State, shard_path: Path, index: int) -> Source:
-    waiting = state.folder.frame_path(index)
-    if waiting.exists():
-        return waiting, 0
-    row = row_of(shard_path, index)
-    if row is None:
-        raise UserError(f"{shard_path}: frame {index} is gone. Run the same command again.")
-    return shard_path, row
+def _source(state: _State, index: int) -> Source:
+    """Where a finished frame is: in its shard, or waiting for one."""
+    if (shard := state.in_shards().get(index)) is not None:
+        row = shard.frames.index(index)
+        return Source(state.folder.path / shard.name, row, shard.content[row])
+    path = state.folder.frame_path(index)
+    if (content := stored_content(path)) is None:
+        raise UserError(f"{path}: the frame is gone. Run the same command again: it is redone.")
+    return Source(path, 0, content)
 
 
 # --- processes -----------------------------------------------------------------------------------
 
 
-def _start_worker(initializer: Callable[..., None], initargs: tuple[Any, ...]) -> None:
+def _start_worker() -> None:
     """Ctrl-C is the parent's business; a worker dies with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with_parent()
-    initializer(*initargs)
+
+
+def _work(pool: Pool, task: FrameTask) -> FrameResult:
+    """Renders one frame in a worker."""
+    _initialize(pool.initializer, pool.initargs)
+    return pool.render_one(task)
+
+
+@functools.cache
+def _initialize(initializer: Callable[..., None], initargs: tuple[Any, ...]) -> None:
+    """Once per process, within the first task, so that what goes wrong is told to the parent."""
+    try:
+        initializer(*initargs)
+    except Exception as error:
+        raise UserError(
+            f"The renderer cannot start ({type(error).__name__}: {error}). Run simgen doctor to "
+            "see what this machine can render with."
+        ) from error
 
 
 def _die_with_parent() -> None:
@@ -482,3 +529,23 @@ def _stoppable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, previous)
+
+
+# --- the disk ------------------------------------------------------------------------------------
+
+
+def _is_full_disk(error: Exception) -> bool:
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+@contextmanager
+def _full_disk_explained(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if not _is_full_disk(error):
+            raise
+        raise UserError(
+            f"{folder}: the disk is full. All finished frames are kept; free some space and run "
+            "the same command again."
+        ) from error

@@ -102,7 +102,15 @@ def load(world: World, *, num_lamps: int) -> Scene:
     shapes = {f"slot_{i:02d}": m[0] for i, m in enumerate(meshes)}
     lights = {f"lamp_{i:02d}": x for i, x in enumerate(_lamp_dicts(world.lamps, num_lamps))}
     mi_scene = mi.load_dict(
-        {"type": "scene", **shapes, **lights, "sky": _sky_dict(world.sky)}, optimize=False
+        {
+            "type": "scene",
+            # Otherwise rays leak through edges that triangles share: some pixels in a million.
+            "embree_use_robust_intersections": True,
+            **shapes,
+            **lights,
+            "sky": _sky_dict(world.sky),
+        },
+        optimize=False,
     )
     counts = [len(m[2]) for m in meshes]
     return Scene(
@@ -128,10 +136,19 @@ def _slots(world: World) -> list[_Slot]:
         else:
             texture = _texture(world.sign_atlas) if material.color_by == "atlas" else _VERTEX_COLOR
             slots.append(_Slot(name, parts, _bsdf(material, texture), material))
-    unknown = {p.material for p in world.parts} - set(MATERIALS)
-    if unknown:
-        raise ValueError(f"scene: unknown materials {sorted(unknown)}; see materials.MATERIALS")
+    _check(world.parts)
     return slots
+
+
+def _check(parts: Sequence[Part]) -> None:
+    """Raises ValueError for a part that would be dropped or wrap around."""
+    free = {name for name, m in MATERIALS.items() if m.color_by != "ground"}
+    unknown = {p.material for p in parts} - free
+    if unknown:
+        raise ValueError(f"scene: parts of material {sorted(unknown)}; expected {sorted(free)}")
+    highest = max((p.instance for p in parts), default=0)
+    if highest > np.iinfo(np.uint16).max:
+        raise ValueError(f"scene: instance id {highest}, but a shard holds 16 bits")
 
 
 def _ground_slot(i: int, ring: GroundRing, material: Material) -> _Slot:

@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,7 +54,7 @@ class Estimate:
 
 def render(options: RenderOptions) -> int:
     """The command; returns its exit status."""
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
     chosen = engine.choose(options.variant)
     job = resolve(options, chosen.variant)
     if chosen.notice:
@@ -90,7 +91,7 @@ def _render_one() -> run.RenderOne:
     return render_frame_file
 
 
-def _start_worker() -> object:
+def _start_worker() -> Callable[..., None]:
     from simgen.produce import start
 
     return start
@@ -190,7 +191,9 @@ class _Display:
         self.start = time.monotonic()
         if done:
             self.console.print(f"Going on: {done} of {total} rig frames are there already.")
-        self.task = self.bar.add_task("", total=total, completed=done, pairs=done * self.pairs, pace="")
+        self.task = self.bar.add_task(
+            "", total=total, completed=done, pairs=done * self.pairs, pace=""
+        )
 
     def _frame_done(self, result: run.FrameResult) -> None:
         self.done += 1
@@ -200,8 +203,8 @@ class _Display:
         if not self.console.is_terminal:
             left = (self.total - self.done) * pace / 60
             self.console.print(
-                f"frame {result.index}: {self.done} of {self.total}, {self.done * self.pairs} pairs, "
-                f"{pace:.1f} s/frame, {left:.0f} min left"
+                f"frame {result.index}: {self.done} of {self.total}, "
+                f"{self.done * self.pairs} pairs, {pace:.1f} s/frame, {left:.0f} min left"
             )
 
     def _note(self, text: str) -> None:

@@ -235,7 +235,9 @@ class ShardSet:
         self.folder = Path(folder)
         self.manifest = Manifest.load(self.folder)
         if split not in (None, *SPLITS):
-            raise UserError(f"split {split!r}: expected one of {', '.join(SPLITS)}, or None for all.")
+            raise UserError(
+                f"split {split!r}: expected one of {', '.join(SPLITS)}, or None for all."
+            )
         self._files = _Files()
         places = [
             (index, self.folder / shard.name, row)
@@ -262,7 +264,9 @@ class ShardSet:
     def frame(self, index: int) -> Frame:
         """A frame by its index in the set; UserError if the set does not have it."""
         if index not in self._places:
-            have = f"{len(self)} frames, {min(self.indices, default=0)} to {max(self.indices, default=0)}"
+            have = f"{len(self)} frames" + (
+                f", {self.indices[0]} to {self.indices[-1]}" if self else ""
+            )
             raise UserError(f"{self.folder}: no frame {index}; it has {have}.")
         path, row = self._places[index]
         return Frame(self._files, path, row)

@@ -189,11 +189,11 @@ def _draw_header(page: _Page, frame: Frame, pair: int) -> None:
 def _draw_surfaces(page: _Page, frame: Frame, camera: int) -> None:
     depth = frame.read("depth", camera)
     range_m = _depth_range(depth)
-    _, strip = page.image(1, 0, paint.depth_colors(depth, range_m), f"Depth, camera {camera}")
+    _, strip = page.image(1, 0, paint.depth_colors(depth, range_m), f"Depth [m], camera {camera}")
     _draw_scale(strip, range_m)
     semantic = frame.read("semantic", camera)
     _, strip = page.image(1, 1, paint.label_colors(semantic), f"Classes, camera {camera}")
-    _draw_patches(strip, _largest_labels(semantic))
+    _draw_patches(strip, _largest_labels(semantic), 5)
     instance = frame.read("instance", camera)
     _, strip = page.image(1, 2, paint.instance_colors(instance), f"Instances, camera {camera}")
     num = len(np.unique(instance[instance > 0]))
@@ -210,21 +210,20 @@ def _depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _draw_scale(strip: Axes, range_m: tuple[float, float]) -> None:
-    scale = strip.inset_axes((0.0, 0.58, 0.8, 0.24))
+    scale = strip.inset_axes((0.0, 0.58, 0.84, 0.24))
     bar = ScalarMappable(LogNorm(*range_m), paint.DEPTH_MAP)
     ticks = [t for t in _ONE_TWO_FIVE if range_m[0] <= t <= range_m[1]]
     strip.figure.colorbar(bar, cax=scale, orientation="horizontal", ticks=ticks)
     scale.minorticks_off()
-    scale.set_xticks(ticks, [f"{t:g} m" for t in ticks], size=10, color=_INK)
+    scale.set_xticks(ticks, [f"{t:g}" for t in ticks], size=10, color=_INK)
     scale.tick_params(length=3, color=_INK)
-    patch = Patch(facecolor=_unit(paint.SKY_COLOR), label="sky")
-    _legend(strip, [patch], loc="upper right")
+    _legend(strip, [_patch(paint.SKY_COLOR, "sky")], 1, loc="upper right")
 
 
 _ONE_TWO_FIVE = [m * 10**e for e in range(5) for m in (1, 2, 5)]
 
 
-def _largest_labels(semantic: NDArray[np.uint8], num: int = 6) -> list[tuple[Rgb, str]]:
+def _largest_labels(semantic: NDArray[np.uint8], num: int = 10) -> list[tuple[Rgb, str]]:
     """Colours and names of the classes with most pixels."""
     counts = np.bincount(semantic.ravel(), minlength=256)
     names = {label: name for name, label in LABELS.items()}
@@ -247,7 +246,7 @@ def _draw_flow(page: _Page, frame: Frame, pair: int) -> None:
                 f"the longest has {length.max():.1f} px")  # fmt: skip
     title = f"Where the pixels of camera {left} are in camera {right}"
     _, strip = page.image(2, 1, paint.status_colors(status), title)
-    _draw_patches(strip, _status_legend(status))
+    _draw_patches(strip, _status_legend(status), 3)
     title = f"Camera {right} brought to camera {left} by the flow"
     _, strip = page.image(2, 2, pulled_back(frame.read("image", right), flow, status), title)
     _say(strip, f"must look like camera {left}; grey where the surface is not visible")
@@ -267,19 +266,17 @@ def _draw_wheel(axes: Axes) -> None:
 
 
 def _status_legend(status: NDArray[np.uint8]) -> list[tuple[Any, str]]:
-    names = {VISIBLE: "visible", OCCLUDED: "occluded", OUT_OF_FRAME: "out of frame"}
-    entries: list[tuple[Any, str]] = [
-        (paint.STATUS_COLORS[bit], f"{name} {_percent(status, bit)}") for bit, name in names.items()
-    ]
+    """Colours and names, in the order of a legend that fills columns of two."""
+    entries = (
+        (paint.STATUS_COLORS[VISIBLE], "visible", VISIBLE),
+        (paint.LIGHTENED, "pale: at infinity", AT_INFINITY),
+        (paint.STATUS_COLORS[OCCLUDED], "occluded", OCCLUDED),
+        (paint.DARKENED, "dark: glass", GLASS),
+        (paint.STATUS_COLORS[OUT_OF_FRAME], "out of frame", OUT_OF_FRAME),
+    )
     return [
-        *entries,
-        (paint.LIGHTENED, f"pale: at infinity {_percent(status, AT_INFINITY)}"),
-        (paint.DARKENED, f"dark: glass {_percent(status, GLASS)}"),
+        (color, f"{name} {100 * np.mean((status & bit) > 0):.0f} %") for color, name, bit in entries
     ]
-
-
-def _percent(status: NDArray[np.uint8], bit: int) -> str:
-    return f"{100 * np.mean((status & bit) > 0):.0f} %"
 
 
 # --- the pair ------------------------------------------------------------------------------------
@@ -296,22 +293,24 @@ def _draw_pair(page: _Page, row: int, images: tuple[Rgb, Rgb], what: str) -> Non
 # --- legends -------------------------------------------------------------------------------------
 
 
-def _draw_patches(strip: Axes, entries: Sequence[tuple[Any, str]]) -> None:
-    patches = [Patch(facecolor=_unit(color), label=label) for color, label in entries]
-    _legend(strip, patches, loc="upper left")
+def _draw_patches(strip: Axes, entries: Sequence[tuple[Any, str]], num_columns: int) -> None:
+    patches = [_patch(color, label) for color, label in entries]
+    _legend(strip, patches, num_columns, loc="upper left")
 
 
-def _legend(strip: Axes, patches: Sequence[Patch], loc: str) -> None:
+def _patch(color: Any, label: str) -> Patch:
+    face = tuple(c / 255 for c in color)
+    return Patch(facecolor=face, edgecolor="#999999", linewidth=0.5, label=label)
+
+
+def _legend(strip: Axes, patches: Sequence[Patch], num_columns: int, loc: str) -> None:
     strip.legend(
-        handles=patches, loc=loc, ncols=len(patches), frameon=False, fontsize=10,
+        handles=patches, loc=loc, ncols=num_columns, frameon=False, fontsize=10,
         labelcolor=_INK, handlelength=1.1, handleheight=1.1, handletextpad=0.4,
-        columnspacing=1.0, borderaxespad=0.0, borderpad=0.3,
+        columnspacing=1.4, borderaxespad=0.0, borderpad=0.4, labelspacing=0.3,
     )  # fmt: skip
 
 
 def _say(strip: Axes, text: str) -> None:
-    strip.text(0, 0.82, text, size=10, color=_INK, va="top")
+    strip.text(0, 0.86, text, size=10, color=_INK, va="top")
 
-
-def _unit(color: Any) -> tuple[float, ...]:
-    return tuple(c / 255 for c in color)

@@ -239,11 +239,11 @@ def _explained(source: Source) -> Iterator[None]:
         ) from error
 
 
-def finished_frame(path: Path) -> Source | None:
-    """A frame file, if it is there and whole (a rename is atomic, a disk may still fail)."""
+def stored_content(path: Path) -> str | None:
+    """The content hash that a frame file carries; None if it is not there, or not whole."""
     try:
         with h5py.File(path, "r") as file:
-            return Source(path, 0, str(file.attrs["content_sha256"]))
+            return str(file.attrs["content_sha256"])
     except (OSError, KeyError):
         return None
 

@@ -619,7 +619,7 @@ def test_a_gap_is_found_unless_it_is_a_recorded_failure(folder: Path, tiny: Fram
     shards = {"test-00000.h5": [0], "train-00000.h5": [1, 3]}
     write_manifest(folder, shards)
     assert failures(folder) == {"frames": "missing: [2]"}
-    write_manifest(folder, shards, failures=[{"frame": 2}])
+    write_manifest(folder, shards, failures=[{"frame_index": 2}])
     assert validate_folder(folder).passed
 
 
