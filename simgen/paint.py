@@ -37,7 +37,14 @@ _NO_INSTANCE = (232, 232, 232)
 _GOLDEN_RATIO = 0.618033988749895  # consecutive ids get hues that are far apart
 # Lengths of the six arcs of the Middlebury wheel: red-yellow, yellow-green, … magenta-red.
 _WHEEL_ARCS = (15, 6, 4, 11, 13, 6)
-_WHEEL_CORNERS = ((255, 0, 0), (255, 255, 0), (0, 255, 0), (0, 255, 255), (0, 0, 255), (255, 0, 255))
+_WHEEL_CORNERS = (
+    (255, 0, 0),
+    (255, 255, 0),
+    (0, 255, 0),
+    (0, 255, 255),
+    (0, 0, 255),
+    (255, 0, 255),
+)
 
 
 def depth_colors(depth: NDArray[np.float32], range_m: tuple[float, float]) -> Rgb:
@@ -46,7 +53,7 @@ def depth_colors(depth: NDArray[np.float32], range_m: tuple[float, float]) -> Rg
     known = depth > 0
     level = (np.log(np.where(known, depth, range_m[1])) - low) / (high - low)
     colors = matplotlib.colormaps[DEPTH_MAP](level.clip(0, 1), bytes=True)[..., :3]
-    return np.where(known[..., None], colors, np.uint8(SKY_COLOR))
+    return np.where(known[..., None], colors, np.array(SKY_COLOR, np.uint8))
 
 
 def label_colors(semantic: NDArray[np.uint8]) -> Rgb:

@@ -29,6 +29,7 @@ AHEAD_M = 520.0
 SIDE_M = 170.0
 MEDIAN_M = 3.0
 KERB_M = 0.13
+"""Pavements are lifted by this when the mesh is made; lanes know nothing of it."""
 LAND_MARGIN_M = 520.0
 
 SURFACES = ("road", "sidewalk", "terrain")
@@ -244,9 +245,7 @@ def _cross_section(road: RoadSpec) -> list[Any]:
         else:
             lanes.append(roadgen.Lane(road.shoulder_m, direction, type_=_SHOULDER))
         if road.pavement_m > 0.5:
-            lanes.append(
-                roadgen.Lane(road.pavement_m, direction, type_=_SIDEWALK, height=(KERB_M, KERB_M))
-            )
+            lanes.append(roadgen.Lane(road.pavement_m, direction, type_=_SIDEWALK))
     return lanes
 
 
@@ -264,7 +263,8 @@ def _read(plan: _Plan, spec: SceneSpec) -> Network:
             rules=roadgen.building_rules(spec.building_rules), seed=int(plan.rng.integers(1 << 31))
         )
     with tempfile.TemporaryDirectory(prefix="simgen-") as folder:
-        files = road_map.export_carla(folder, name="Scene", buildings="omitted", trace=False)
+        files = road_map.export_carla(folder, name="Scene", buildings="omitted",
+                                       kerb_height=KERB_M, trace=False)  # fmt: skip
         surfaces = _read_surfaces(Path(files["obj"]))
     lanes = list(_read_lanes(road_map, plan.lanes))
     return Network(

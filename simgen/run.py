@@ -232,7 +232,8 @@ def check_disk(path: Path, bytes_needed: float, *, force: bool) -> None:
         raise UserError(
             f"{path}: the set needs about {bytes_needed / 1e9:.1f} GB, but only "
             f"{free / 1e9:.1f} GB are free. Free some space, choose another disk with "
-            "--out, a smaller --n or --size, --no-flow or --compression zstd, or start anyway with --force."
+            "--out, a smaller --n or --size, --no-flow or --compression zstd, or start anyway "
+            "with --force."
         )
 
 
@@ -455,7 +456,8 @@ def _assemble_complete(state: _State, finished: set[int], partial: bool = False)
         ready = [i for i in shard.frames if i in finished]
         complete = len(ready) == len(shard.frames)
         if (complete or partial) and any(i not in in_shards for i in ready):
-            sources = [_source(state, i) for i in ready]
+            beyond = [i for i, s in in_shards.items() if s.name == shard.name]  # of a larger n
+            sources = [_source(state, i) for i in sorted({*ready, *beyond})]
             entry = _assembled(state, shard.name, shard.split, sources)
             others = [s for s in state.manifest.shards if s.name != shard.name]
             state.save(shards=[*others, entry])

@@ -95,17 +95,21 @@ class Manifest:
 def write_atomically(path: Path, content: bytes) -> None:
     """All of the file or nothing, also when the power fails."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    try:
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def open_shard(path: Path) -> h5py.File:
     """Opens a shard for reading; UserError if it is not one, or of another schema."""
     try:
-        file = h5py.File(path, "r")
+        # Shards are replaced, never changed: no lock is needed, and some file systems have none.
+        file = h5py.File(path, "r", locking=False)
     except FileNotFoundError as error:
         raise UserError(f"{path}: no such file, though the manifest lists it.") from error
     except OSError as error:
@@ -167,7 +171,13 @@ class Frame:
     def read(self, name: str, which: int | None = None) -> NDArray[Any]:
         """A field of the schema, whole or only one camera's (or pair's) slice of it."""
         dataset = self._file[name]
-        return np.asarray(dataset[self._row] if which is None else dataset[self._row, which])
+        try:
+            return np.asarray(dataset[self._row] if which is None else dataset[self._row, which])
+        except OSError as error:
+            raise UserError(
+                f"{self._path}: {name!r} of row {self._row} cannot be decoded ({error}): the file "
+                "is damaged. Delete it and run the same render command again, or copy it anew."
+            ) from error
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         if name not in FIELDS:

@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ WIDTH_PX = 2000
 _DPI = 100
 _MARGIN, _GAP, _TITLE, _LEGEND, _HEADER = 28, 18, 30, 44, 92  # px
 _NUM_GUIDES = 9
-_OUTSIDE = (60, 60, 60)  # what no camera saw, in rectified images
+_OUTSIDE = (140, 140, 140)  # what no camera saw, in rectified images
 _INK = "#222222"
 
 
@@ -93,9 +93,10 @@ def _warped(image: Rgb, H: Array) -> Rgb:
 def pulled_back(image_right: Rgb, flow: NDArray[np.float32], status: NDArray[np.uint8]) -> Rgb:
     """The right image seen through the flow, on left pixels; grey where it is not visible."""
     uv_right = (pixel_grid(flow.shape[:2]) + flow).astype(np.float32)
-    seen = cv2.remap(image_right, uv_right, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    u, v = uv_right[..., 0], uv_right[..., 1]
+    seen = cv2.remap(image_right, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     visible = (status & VISIBLE)[..., None] > 0
-    return np.where(visible, seen, np.uint8(_OUTSIDE))
+    return np.where(visible, seen, np.array(_OUTSIDE, np.uint8))
 
 
 # --- layout --------------------------------------------------------------------------------------
@@ -170,13 +171,12 @@ def _draw_header(page: _Page, frame: Frame, pair: int) -> None:
     height, width = frame.image.shape[1:3]
     baseline_m = np.linalg.norm(T[left, :3, 3] - T[right, :3, 3])
     angles = "   ".join(
-        f"{c}: ({', '.join(f'{a:+.2f}' for a in frame.perturbation_deg[c])})"
-        for c in range(len(T))
+        f"{c}: ({', '.join(f'{a:+.2f}' for a in frame.perturbation_deg[c])})" for c in range(len(T))
     )
     page.text(_MARGIN, 20, f"Frame {int(frame.frame_index)}, pair {pair}", 19, weight="bold")
     page.text(
         _MARGIN, 56,
-        f"{spec['recipe']}, {spec['daylight']['name']}, {spec['weather']['name']}    "
+        f"{spec['recipe']}, {spec['daylight']['name']}, {spec['weather']['name'].replace('_', ' ')}    "
         f"sun {spec['daylight']['sun_elevation_deg']:.1f}° high    "
         f"{width} × {height} px    baseline {baseline_m:.2f} m    "
         f"drawn rotation x, y, z [°] of camera {angles}", 12,
@@ -226,9 +226,10 @@ _ONE_TWO_FIVE = [m * 10**e for e in range(5) for m in (1, 2, 5)]
 def _largest_labels(semantic: NDArray[np.uint8], num: int = 10) -> list[tuple[Rgb, str]]:
     """Colours and names of the classes with most pixels."""
     counts = np.bincount(semantic.ravel(), minlength=256)
+    colors = paint.label_colors(np.arange(256, dtype=np.uint8))
     names = {label: name for name, label in LABELS.items()}
     largest = [i for i in np.argsort(-counts, kind="stable")[:num] if counts[i]]
-    return [(paint.label_colors(np.uint8([i]))[0], names.get(int(i), f"id {i}")) for i in largest]
+    return [(colors[i], names.get(int(i), f"id {i}")) for i in largest]
 
 
 # --- flow ----------------------------------------------------------------------------------------
@@ -241,7 +242,7 @@ def _draw_flow(page: _Page, frame: Frame, pair: int) -> None:
     rim_px = max(1.0, float(np.percentile(length, 99)))
     title = f"Flow, camera {left} to {right}"
     axes, strip = page.image(2, 0, paint.flow_colors(flow, rim_px), title)
-    _draw_wheel(axes)
+    _draw_wheel(axes, page.aspect)
     _say(strip, f"rim of the wheel: {rim_px:.1f} px;  longer vectors are dark, "
                 f"the longest has {length.max():.1f} px")  # fmt: skip
     title = f"Where the pixels of camera {left} are in camera {right}"
@@ -252,14 +253,13 @@ def _draw_flow(page: _Page, frame: Frame, pair: int) -> None:
     _say(strip, f"must look like camera {left}; grey where the surface is not visible")
 
 
-def _draw_wheel(axes: Axes) -> None:
+def _draw_wheel(axes: Axes, aspect: float) -> None:
     """The colours of all directions, in the top right corner of the flow."""
     span = np.linspace(-1.0, 1.0, 160)
     vectors = np.stack(np.meshgrid(span, span), axis=-1).astype(np.float32)
     inside = np.hypot(vectors[..., 0], vectors[..., 1]) <= 1
     disc = np.dstack([paint.flow_colors(vectors, 1.0), np.where(inside, 255, 0).astype(np.uint8)])
-    height, width = axes.images[0].get_array().shape[:2]
-    corner = axes.inset_axes((1 - 0.02 - 0.24 * height / width, 0.74, 0.24 * height / width, 0.24))
+    corner = axes.inset_axes((0.985 - 0.24 / aspect, 0.74, 0.24 / aspect, 0.24))
     corner.imshow(disc)
     corner.set_axis_off()
     corner.plot([80], [80], "+", color=_INK, markersize=5)
@@ -287,7 +287,7 @@ def _draw_pair(page: _Page, row: int, images: tuple[Rgb, Rgb], what: str) -> Non
     for column, (image, side) in enumerate(zip(images, ("Left", "Right"), strict=True)):
         axes, _ = page.image(row, column, image, f"{side} image, {what}")
         for v in np.linspace(-0.5, len(image) - 0.5, _NUM_GUIDES + 2)[1:-1]:
-            axes.axhline(v, color="#ffe14d", linewidth=0.9, alpha=0.9)
+            axes.axhline(v, color="#ff2e88", linewidth=0.9, alpha=0.85)
 
 
 # --- legends -------------------------------------------------------------------------------------
@@ -303,7 +303,12 @@ def _patch(color: Any, label: str) -> Patch:
     return Patch(facecolor=face, edgecolor="#999999", linewidth=0.5, label=label)
 
 
-def _legend(strip: Axes, patches: Sequence[Patch], num_columns: int, loc: str) -> None:
+def _legend(
+    strip: Axes,
+    patches: Sequence[Patch],
+    num_columns: int,
+    loc: Literal["upper left", "upper right"],
+) -> None:
     strip.legend(
         handles=patches, loc=loc, ncols=num_columns, frameon=False, fontsize=10,
         labelcolor=_INK, handlelength=1.1, handleheight=1.1, handletextpad=0.4,
@@ -313,4 +318,3 @@ def _legend(strip: Axes, patches: Sequence[Patch], num_columns: int, loc: str) -
 
 def _say(strip: Axes, text: str) -> None:
     strip.text(0, 0.86, text, size=10, color=_INK, va="top")
-

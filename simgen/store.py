@@ -59,7 +59,7 @@ def content_sha256(frame: Arrays) -> str:
             else:
                 array = np.ascontiguousarray(value)
                 digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-                digest.update(memoryview(array.reshape(-1).view(np.uint8)))
+                digest.update(array.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
@@ -74,6 +74,7 @@ def write_frame(
 
     The file is built in memory: where the disk is full, HDF5 itself ends the process.
     """
+    _check_layout(frame, len(pairs))
     digest = content_sha256(frame)
     layout = _layout(frame)
     with h5py.File(path, "w", driver="core", backing_store=False, libver="v110") as file:
@@ -89,6 +90,22 @@ def write_frame(
         image = file.id.get_file_image()
     write_atomically(path, image)
     return digest
+
+
+def _check_layout(frame: Arrays, num_pairs: int) -> None:
+    cameras, height, width = np.shape(frame["image"])[:3]
+    sizes = {"C": cameras, "P": num_pairs, "H": height, "W": width}
+    for name, field in FIELDS.items():
+        if field.dtype == "json" or (name == "flow" and name not in frame):
+            continue
+        if name not in frame:
+            raise ValueError(f"write_frame: the frame has no {name!r}")
+        found, shape = np.asarray(frame[name]), field.resolved(sizes)
+        if (found.shape, found.dtype) != (shape, field.dtype):
+            raise ValueError(
+                f"write_frame: {name!r} is {found.dtype} {found.shape}, the schema wants "
+                f"{field.dtype} {shape}"
+            )
 
 
 def _layout(frame: Arrays) -> dict[str, tuple[tuple[int, ...], str]]:
@@ -141,7 +158,7 @@ def _write_images(dataset: h5py.Dataset, images: NDArray[Any], compression: str)
 def _deflated(image: NDArray[Any]) -> bytes:
     """HDF5's shuffle filter (byte planes) and deflate."""
     planes = np.ascontiguousarray(image).reshape(-1).view(np.uint8).reshape(-1, image.itemsize)
-    return zlib.compress(np.ascontiguousarray(planes.T), GZIP_LEVEL)
+    return zlib.compress(np.ascontiguousarray(planes.T).data, GZIP_LEVEL)
 
 
 def _publish(temporary: Path, path: Path) -> None:

@@ -45,7 +45,21 @@ def test_lanes_lie_on_the_ground(name):
     for lane in network.lanes[:8]:
         points = roads.resampled(lane.centre, 5.0)[1:-1]
         height = site.height(points[:, :2])
-        np.testing.assert_allclose(height, points[:, 2], atol=0.05)
+        lift = roads.KERB_M if lane.kind == "sidewalk" else 0.0
+        np.testing.assert_allclose(height, points[:, 2] + lift, atol=0.05)
+
+
+@pytest.mark.parametrize("scene", range(1, 6))
+def test_pavements_meet_at_junctions_without_a_step(scene):
+    """Else one looks through the crack between an arm's pavement and the corner's."""
+    network = roads.build(make_spec("urban", scene))
+    site = Site(network)
+    for lane in network.lanes:
+        if lane.kind == "sidewalk" and lane.in_junction:
+            ends = at_station(lane.centre, np.array([0.1, stations(lane.centre)[-1] - 0.1]))[0]
+            np.testing.assert_allclose(
+                site.height(ends[:, :2]), ends[:, 2] + roads.KERB_M, atol=0.02
+            )
 
 
 def test_kerbs_lift_the_pavement():

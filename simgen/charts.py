@@ -1,0 +1,166 @@
+"""Charts of the report, as SVG text to be put into a page: the same data give the same text."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, PercentFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from simgen.geometry import Array
+from simgen.schema import LABEL_COLORS, LABELS
+
+_SIZE = (5.6, 2.7)  # inches of 72 px
+_INK, _FAINT = "#444b54", "#d9dde2"
+_SERIES = ("#3f72af", "#d1793a", "#4a9b7f", "#8b6fb0", "#b8a13a", "#777f88")
+_STAGES = ("#274c77", "#4f7cac", "#86a8c9", "#bcd0e2", "#2f7d6b", "#5fae97", "#a6d3c4",
+           "#c8763c", "#e2a878", "#8b6fb0", "#bda9d6", "#777f88", "#aab1b8")  # fmt: skip
+
+
+def to_svg(figure: Figure, name: str) -> str:
+    """The figure as an <svg> element; ``name`` keeps its ids apart from other charts'."""
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def histogram(
+    edges: Array,
+    series: Mapping[str, ArrayLike],
+    *,
+    x: str,
+    y: str,
+    log: bool = False,
+    expected: float | None = None,
+) -> Figure:
+    """Outlines of histograms with the same bins, each scaled to a sum of 100 %.
+
+    Args:
+      series: counts (bins,) by name.
+      expected: the share of each bin if the values were uniform; drawn with the band that holds
+        95 % of the bins of such values.
+    """
+    figure, axes = _empty(_SIZE)
+    for (name, counts), color in zip(series.items(), _cycle(_SERIES, len(series)), strict=True):
+        share = _shares(counts)
+        axes.stairs(share, edges, label=name, color=color, linewidth=1.6)
+        axes.stairs(share, edges, fill=True, color=color, alpha=0.35 / len(series), linewidth=0)
+    if expected is not None:
+        total = min(int(np.sum(counts)) for counts in series.values())
+        spread = 1.96 * np.sqrt(expected * (1 - expected) / max(1, total))
+        axes.axhspan(expected - spread, expected + spread, color=_FAINT, alpha=0.6, linewidth=0)
+        axes.axhline(expected, color=_INK, linewidth=1, linestyle=":", label="uniform")
+    if log:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlim(*_occupied(edges, series))
+    axes.set_ylim(bottom=0)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    _label(axes, x, y)
+    if len(series) > 1 or expected is not None:
+        _legend_above(axes, len(series) + 1)
+    return figure
+
+
+def class_shares(counts: NDArray[np.int64]) -> Figure:
+    """Bars of the share of pixels by label id, the largest on top, in Cityscapes' colours."""
+    share = _shares(counts)
+    present = [i for i in np.argsort(share, kind="stable") if share[i] > 0]
+    names = {label: name for name, label in LABELS.items()}
+    figure, axes = _empty((_SIZE[0], 0.6 + 0.24 * len(present)))
+    rows = np.arange(len(present))
+    colors = [np.array(LABEL_COLORS.get(int(i), (0, 0, 0))) / 255 for i in present]
+    axes.barh(rows, share[present], color=colors, height=0.72)
+    for row, i in zip(rows, present, strict=True):
+        axes.text(share[i], float(row), f" {_percent(share[i])}", va="center", size=9, color=_INK)
+    axes.set_yticks(rows, [names.get(int(i), f"id {i}") for i in present])
+    axes.set_xlim(0, 1.15 * share.max())
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.grid(False, axis="y")
+    axes.grid(True, axis="x", color=_FAINT, linewidth=0.6)
+    _label(axes, "share of pixels", "")
+    return figure
+
+
+def stage_seconds(stages: Mapping[str, Array]) -> Figure:
+    """Two bars, cut into the stages of a frame: means, and medians."""
+    figure, axes = _empty((2 * _SIZE[0], 2.2))
+    left = np.zeros(2)
+    for (stage, seconds), color in zip(stages.items(), _cycle(_STAGES, len(stages)), strict=True):
+        width = np.array([np.median(seconds), np.mean(seconds)])
+        axes.barh([0, 1], width, left=left, color=color, height=0.62,
+                  label=f"{stage} {np.mean(seconds):.2g} s")  # fmt: skip
+        left += width
+    axes.set_yticks([0, 1], [f"median\n{left[0]:.1f} s", f"mean\n{left[1]:.1f} s"])
+    axes.set_xlim(0, left.max())
+    axes.grid(False, axis="y")
+    _label(axes, "seconds per rig frame", "")
+    _legend_above(axes, 6)
+    return figure
+
+
+def memory(gigabytes: Mapping[str, Sequence[tuple[int, float]]]) -> Figure:
+    """Resident memory of each worker over the frames of the set, in the order of time."""
+    figure, axes = _empty(_SIZE)
+    for (name, points), color in zip(
+        gigabytes.items(), _cycle(_SERIES, len(gigabytes)), strict=True
+    ):
+        place, value = np.array(points).T
+        axes.plot(place, value, "o-", markersize=2.5, linewidth=1.2, color=color, label=name)
+    axes.set_ylim(bottom=0)
+    _label(axes, "frames finished", "resident memory [GB]")
+    return figure
+
+
+# --- parts ---------------------------------------------------------------------------------------
+
+
+def _empty(size: tuple[float, float]) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(_FAINT)
+    axes.tick_params(colors=_INK, labelsize=9, length=3, which="both")
+    axes.grid(True, axis="y", color=_FAINT, linewidth=0.6)
+    axes.set_axisbelow(True)
+    return figure, axes
+
+
+def _label(axes: Axes, x: str, y: str) -> None:
+    axes.set_xlabel(x, size=9.5, color=_INK)
+    axes.set_ylabel(y, size=9.5, color=_INK)
+
+
+def _legend_above(axes: Axes, num_columns: int) -> None:
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0, 1.0), ncols=num_columns, frameon=False, fontsize=9,
+        labelcolor=_INK, handlelength=1.2, handletextpad=0.5, columnspacing=1.4, borderpad=0.2,
+    )  # fmt: skip
+
+
+def _shares(counts: ArrayLike) -> Array:
+    values = np.asarray(counts, dtype=np.float64)
+    return values / max(1.0, float(values.sum()))
+
+
+def _occupied(edges: Array, series: Mapping[str, ArrayLike]) -> tuple[float, float]:
+    """The part of the axis that holds counts."""
+    used = np.flatnonzero(np.sum([np.asarray(c) for c in series.values()], axis=0))
+    if not used.size:
+        return float(edges[0]), float(edges[-1])
+    return float(edges[used[0]]), float(edges[used[-1] + 1])
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if share >= 0.001 else "< 0.1 %"
+
+
+def _cycle(colors: Sequence[str], num: int) -> list[str]:
+    return [colors[k % len(colors)] for k in range(num)]

@@ -1,0 +1,116 @@
+"""``simgen describe``: a set in words, enough to read it without any other document."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from simgen.schema import FIELDS
+from simgen.shards import Manifest, ShardSet, open_shard
+
+_EXAMPLE = """\
+from simgen.shards import ShardSet
+frames = ShardSet({folder!r}, split={split!r})
+frame = frames[0]                       # nothing is read yet
+left, right = frame.pairs[0]
+image = frame.read("image", left)       # (H, W, 3) uint8
+flow = frame.flow(0)                    # (H, W, 2) float32: uv_right = uv_left + flow"""
+
+
+def describe(folder: Path) -> str:
+    """The text; UserError if there is no set."""
+    frames = ShardSet(folder)
+    manifest = frames.manifest
+    sections = [_summary(folder, manifest)]
+    if len(frames):
+        with open_shard(folder / manifest.shards[0].name) as shard:
+            sections += [_fields(shard), _conventions(shard)]
+        specs = [frame.spec for frame in frames]
+        sections += [_strata(specs), _versions(specs[0])]
+    frames.close()
+    sections += [_config(manifest.config), _faults(manifest)]
+    if len(frames):
+        sections.append(_titled("Reading it", [_EXAMPLE.format(
+            folder=str(folder), split=manifest.shards[0].split)]))  # fmt: skip
+    return "\n\n".join(sections)
+
+
+def _summary(folder: Path, manifest: Manifest) -> str:
+    num_pairs = len(manifest.config["rig"]["pairs"])
+    per_split: Counter[str] = Counter()
+    for shard in manifest.shards:
+        per_split[shard.split] += len(shard.frames)
+    lines = [
+        f"{split}: {n} rig frames, {n * num_pairs} pairs" for split, n in per_split.items()
+    ] or ["no finished shard yet"]
+    size = sum(shard.bytes for shard in manifest.shards)
+    lines.append(
+        f"{manifest.config['size']} pixels, {len(manifest.shards)} files, {size / 1e6:.1f} MB; "
+        f"asked for: {manifest.num_pairs_asked} pairs, seed {manifest.dataset_seed}"
+    )
+    return _titled(str(folder), lines)
+
+
+def _fields(shard: Any) -> str:
+    """The datasets of a shard, as they are in the file."""
+    rows = [
+        (name, f"n,{','.join(map(str, shard[name].shape[1:]))}".rstrip(","), field.dtype,
+         field.meaning)
+        for name, field in FIELDS.items()
+        if name in shard
+    ]  # fmt: skip
+    rows.append(("pairs", ",".join(map(str, shard["pairs"].shape)), "uint8",
+                 "camera indices (left, right)"))  # fmt: skip
+    return _titled("Fields (n frames, then one number per axis)", _aligned(rows))
+
+
+def _conventions(shard: Any) -> str:
+    sentences = str(shard.attrs["conventions"]).replace(". ", ".\n").splitlines()
+    return _titled("Conventions", [f"Units: {shard.attrs['units']}.", *sentences])
+
+
+def _strata(specs: Sequence[dict[str, Any]]) -> str:
+    counts = Counter((s["recipe"], s["daylight"]["name"], s["weather"]["name"]) for s in specs)
+    rows = [(*stratum, str(count)) for stratum, count in sorted(counts.items())]
+    return _titled("Frames by recipe, daylight, weather", _aligned(rows))
+
+
+def _versions(spec: dict[str, Any]) -> str:
+    return _titled("Made with", _aligned(sorted(spec["versions"].items())))
+
+
+def _config(config: dict[str, Any]) -> str:
+    """Plain values as they are; of the tables of recipes, daylight and weather the shares."""
+    rows = []
+    for name, value in config.items():
+        if name in ("recipes", "daylight", "weather"):
+            value = ", ".join(f"{key} {table['share']:g}" for key, table in value.items())
+        elif name == "rig":
+            value = {k: v for k, v in value.items() if k not in ("intent", "size")}
+        rows.append((name, value if isinstance(value, str) else json.dumps(value)))
+    return _titled("Configuration (in full in manifest.json)", _aligned(rows))
+
+
+def _faults(manifest: Manifest) -> str:
+    lines = [
+        f"frame {r['frame_index']}, attempt {r['attempt']}, {what}: {'; '.join(r['reasons'])}"
+        for what, records in (("failed", manifest.failures), ("drawn again", manifest.redrawn))
+        for r in records
+    ]
+    return _titled("Failed and redrawn frames", lines or ["none"])
+
+
+def _titled(title: str, lines: Iterable[str]) -> str:
+    return "\n".join([title, *(f"  {line}" for text in lines for line in text.splitlines())])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Columns of equal width."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
