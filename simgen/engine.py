@@ -183,6 +183,8 @@ def activate(engine: Engine, threads: int | None = None) -> None:
     """Loads Mitsuba with the engine's variant; once per process, before anything is rendered."""
     if engine.llvm is not None:
         os.environ[LLVM_PATH_VARIABLE] = str(engine.llvm.path)
+    else:
+        _import_without_llvm()
     import drjit as dr
     import mitsuba as mi
 
@@ -190,3 +192,23 @@ def activate(engine: Engine, threads: int | None = None) -> None:
     mi.set_log_level(mi.LogLevel.Error)
     if threads is not None:
         dr.set_thread_count(threads)
+
+
+def _import_without_llvm() -> None:
+    """Dr.Jit loads any libLLVM it finds, for every variant, and prints if it fails: neither here."""
+    named, stderr, null = (
+        os.environ.get(LLVM_PATH_VARIABLE),
+        os.dup(2),
+        os.open(os.devnull, os.O_RDWR),
+    )
+    os.environ[LLVM_PATH_VARIABLE] = os.devnull
+    os.dup2(null, 2)
+    try:
+        import drjit  # noqa: F401
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(null)
+        del os.environ[LLVM_PATH_VARIABLE]
+        if named is not None:
+            os.environ[LLVM_PATH_VARIABLE] = named

@@ -6,7 +6,7 @@ The modules that place things (surroundings, traffic, planting, roadside) are fu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from simgen.geometry import Array
 from simgen.mesh import Model, placed
 from simgen.recipe import SceneSpec
 from simgen.roads import Lane, at_station, offset_line, stations
+from simgen.signs import Rect
 from simgen.site import Site
 
 BEHIND_M = -30.0
@@ -29,7 +30,7 @@ class Layout:
     """A scene's site, seen from where the rig stands."""
 
     def __init__(
-        self, site: Site, spec: SceneSpec, rig_xy: Array, sign_rects: Sequence[str]
+        self, site: Site, spec: SceneSpec, rig_xy: Array, sign_rects: Mapping[str, Rect]
     ) -> None:
         self.site, self.spec, self.rig_xy = site, spec, rig_xy
         self.lanes = site.network.lanes

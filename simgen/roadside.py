@@ -10,15 +10,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from simgen import furniture, vegetation
-from simgen.furniture import Furniture
+from simgen import barriers, furniture, pavement, vegetation
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model
 from simgen.roads import Lane, at_station, offset_line, resampled, stations
-
-MAX_RAIL_M = 40.0
-"""Rails, walls and fences are cut into pieces of this length, so that each can be left out."""
 
 
 def _kerbside(lane: Lane) -> float:
@@ -27,36 +23,32 @@ def _kerbside(lane: Lane) -> float:
 
 
 def _stands(
-    layout: Layout, made: Furniture, xy: Array, heading: float, radius: float = 0.35
+    layout: Layout, model: Model, xy: Array, heading: float, radius: float = 0.35
 ) -> Model:
-    """The thing on the ground, if its place is free; its lights are noted for the night."""
+    """The thing on the ground, if its place is free."""
     if not layout.site.claim([(*xy[:2], radius)]):
         return []
-    model = sunk(layout.stand(made.model, xy, heading), 0.03)
-    if model and len(made.lights):
-        c, s = np.cos(heading), np.sin(heading)
-        turned = made.lights @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        ground = float(layout.site.height(xy[:2])[0])
-        layout.lights.append(turned + [xy[0], xy[1], ground])
-    return model
+    return sunk(layout.stand(model, xy, heading), 0.03)
 
 
 # --- lights and signs ----------------------------------------------------------------------------
 
 
 def lamps(layout: Layout) -> Placed:
-    """Street lamps at equal distances, arms over the road."""
+    """Street lamps at equal distances, arms over the road; those of a street are of one kind."""
     rng = layout.spec.stream("lamps")
     if not layout.spec.lamps:
         return
-    height, arm = float(rng.uniform(6.0, 10.0)), float(rng.uniform(0.8, 2.4))
-    style = int(rng.integers(1 << 31))  # all lamps of a street are of one kind
+    designs = [d for d in furniture.LAMPS if d != "double"]
+    lamp = furniture.street_lamp(designs[rng.integers(len(designs))], rng=rng)
     for lane, line in edges(layout):
         if lane.side == "left" and layout.spec.road.lanes == 1:
             continue
         for point, heading in along(layout, line, layout.spec.lamp_spacing_m, rng, _kerbside(lane)):
-            made = furniture.street_lamp(height, arm, rng=np.random.default_rng(style))
-            yield _stands(layout, made, point, heading + np.pi / 2)
+            model = _stands(layout, lamp, point, heading + np.pi / 2)
+            if model:
+                layout.lights.append(furniture.lamp_heads(model))
+            yield model
 
 
 def signals(layout: Layout) -> Placed:
@@ -67,64 +59,66 @@ def signals(layout: Layout) -> Placed:
     for lane, line in edges(layout):
         for junction in layout.site.network.junctions:
             if np.linalg.norm(line[-1, :2] - junction[:2]) < 30.0 and rng.random() < 0.85:
-                length = stations(line)[-1]
-                point, heading = at_station(offset_line(line, _kerbside(lane)), length - 4.0)
-                mast = float(rng.choice([0.0, 4.5]))
-                made = furniture.traffic_signal(rng=rng, mast_m=mast)
-                yield _stands(layout, made, point, float(heading) + np.pi)
+                kerb = offset_line(line, _kerbside(lane))
+                point, heading = at_station(kerb, stations(line)[-1] - 4.0)
+                state = list(furniture.LENSES)[rng.integers(len(furniture.LENSES))]
+                reach = float(rng.choice([0.0, 4.5]))
+                model = furniture.traffic_signal(state, rng=rng, reach_m=reach)
+                yield _stands(layout, model, point, float(heading) + np.pi)
 
 
-_TOWN_SIGNS = ("limit_30", "limit_50", "no_parking", "priority", "crossing", "no_entry", "yield")
-_ROAD_SIGNS = ("limit_70", "limit_80", "limit_100", "curve_left", "warning", "priority")
-_MOTORWAY_SIGNS = ("limit_100", "limit_120", "board_0", "board_1", "warning")
+_SIGNS = {
+    "town": ("limit_30", "limit_50", "no_parking", "priority", "crossing", "no_entry", "yield"),
+    "rural": ("limit_70", "limit_80", "limit_100", "curve_left", "warning", "priority"),
+    "motorway": ("limit_100", "limit_120", "limit_80", "warning"),
+}
 
 
 def signs(layout: Layout) -> Placed:
-    """Traffic signs on the right, street names at corners, now and then a billboard."""
+    """Traffic signs on the right; street names in town, and now and then a billboard."""
     rng = layout.spec.stream("traffic signs")
     if layout.spec.signs_per_100m <= 0:
         return
-    names = {"town": _TOWN_SIGNS, "rural": _ROAD_SIGNS, "motorway": _MOTORWAY_SIGNS}
-    known = [n for n in names[layout.spec.road.kind] if n in layout.sign_rects]
+    kind = layout.spec.road.kind
+    spacing = 100.0 / layout.spec.signs_per_100m
     for lane, line in edges(layout):
-        for point, heading in along(layout, line, 100.0 / layout.spec.signs_per_100m, rng,
-                                    _kerbside(lane)):  # fmt: skip
-            if rng.random() < 0.06:
+        for point, heading in along(layout, line, spacing, rng, _kerbside(lane)):
+            facing = heading + np.pi + float(rng.normal(0, 0.06))
+            choice = rng.random()
+            if choice < 0.07:
                 yield _billboard(layout, point, heading, rng)
+            elif choice < 0.17 and kind == "town":
+                post = furniture.street_name_post(layout.sign_rects, rng=rng)
+                yield _stands(layout, post, point, facing)
             else:
-                name = known[rng.integers(len(known))]
-                made = furniture.traffic_sign(layout.sign_rects, name, rng=rng)
-                yield _stands(layout, made, point, heading + np.pi + float(rng.normal(0, 0.06)))
+                name = _SIGNS[kind][rng.integers(len(_SIGNS[kind]))]
+                sign = furniture.traffic_sign(layout.sign_rects, name, rng=rng)
+                yield _stands(layout, sign, point, facing)
 
 
 def _billboard(layout: Layout, point: Array, heading: float, rng: np.random.Generator) -> Model:
-    back = np.array([np.sin(heading), -np.cos(heading), 0.0]) * 6.0  # right of the edge
-    place = point + back
+    to_the_right = np.array([np.sin(heading), -np.cos(heading), 0.0])
+    place = point + 6.0 * to_the_right
     if not layout.site.clear_of(place[:2], road=2.0, pavement=0.5, buildings=2.5)[0]:
         return []
-    made = furniture.billboard(layout.sign_rects, rng=rng)
-    return _stands(layout, made, place, heading + np.pi - 0.35, radius=2.0)
+    model = furniture.billboard(layout.sign_rects, rng=rng)
+    return _stands(layout, model, place, heading + np.pi - 0.35, radius=2.0)
 
 
 def gantry(layout: Layout) -> Placed:
     """A gantry with direction boards across a motorway."""
     rng = layout.spec.stream("gantry")
-    if not layout.spec.gantry:
-        return
-    lane = layout.site.network.rig_lane
-    point, heading = at_station(lane.centre, layout.site.network.rig_station
-                                + float(rng.uniform(50.0, 160.0)))  # fmt: skip
-    width = 2 * (layout.spec.road.lanes * layout.spec.road.lane_width_m + 5.0)
-    made = furniture.gantry(width, layout.sign_rects, rng=rng)
-    yield layout.stand(made.model, _middle_of_road(layout, point), float(heading) + np.pi)
-
-
-def _middle_of_road(layout: Layout, point: Array) -> Array:
-    """The nearest point of the line between the carriageways."""
     medians = [lane.centre for lane in layout.lanes if lane.kind == "median"]
-    line = np.concatenate(medians) if medians else point[None]
-    nearest = line[np.argmin(np.linalg.norm(line[:, :2] - point[:2], axis=1))]
-    return np.append(nearest[:2], point[2])
+    if not layout.spec.gantry or not medians:
+        return
+    network = layout.site.network
+    ahead = network.rig_station + float(rng.uniform(50.0, 160.0))
+    point, heading = at_station(network.rig_lane.centre, ahead)
+    middle = np.concatenate(medians)
+    nearest = middle[np.argmin(np.linalg.norm(middle[:, :2] - point[:2], axis=1))]
+    width = 2 * (layout.spec.road.lanes * layout.spec.road.lane_width_m + 5.0)
+    model = furniture.gantry(layout.sign_rects, width, rng=rng)
+    yield layout.stand(model, nearest, float(heading) + np.pi)
 
 
 # --- along the edge ------------------------------------------------------------------------------
@@ -134,31 +128,26 @@ def rails(layout: Layout) -> Placed:
     """Guard rails outside, and a barrier between the carriageways of a motorway."""
     rng = layout.spec.stream("rails")
     if layout.spec.guard_rail:
-        for lane, line in edges(layout):
+        for _, line in edges(layout):
             if layout.spec.road.kind == "motorway" or rng.random() < 0.5:
-                for piece in _pieces(layout, line, -0.7):
-                    yield furniture.guard_rail(piece, rng=rng)
-    concrete = rng.random() < 0.5
+                for run in _runs(layout, line, -0.7):
+                    yield [barriers.guard_rail(run, rng=rng)]
+    build = barriers.concrete_barrier if rng.random() < 0.5 else barriers.guard_rail
     for lane in layout.lanes:
         if lane.kind == "median" and lane.side == "right":
-            for piece in _pieces(layout, lane.offset(lane.width / 2), -0.3):
-                yield (
-                    furniture.concrete_barrier(piece)
-                    if concrete
-                    else furniture.guard_rail(piece[::-1], rng=rng)
-                )
+            for run in _runs(layout, lane.offset(lane.width / 2), -0.3):
+                yield [build(run[::-1], rng=rng)]
 
 
-def _pieces(layout: Layout, line: Array, offset: float) -> Iterator[Array]:
-    """A line beside the road, on the ground, cut into pieces in view."""
+def _runs(layout: Layout, line: Array, offset: float) -> Iterator[Array]:
+    """The stretches (N, 3) of a line beside the road that are in view and on the ground."""
     shifted = resampled(offset_line(line, offset), 2.0)
-    z = layout.site.height(shifted[:, :2])
-    on_ground = np.column_stack([shifted[:, :2], z])
-    step = int(MAX_RAIL_M / 2.0)
-    for i in range(0, len(on_ground) - 1, step):
-        piece = on_ground[i : i + step + 1]
-        if len(piece) > 1 and not np.isnan(piece).any() and layout.in_view(piece.mean(axis=0)):
-            yield piece
+    on_ground = np.column_stack([shifted[:, :2], layout.site.height(shifted[:, :2])])
+    usable = ~np.isnan(on_ground[:, 2]) & [layout.in_view(p) for p in on_ground]
+    change = np.diff(np.concatenate([[0], usable.astype(int), [0]]))
+    for start, end in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
+        if end - start > 7:  # shorter ones would be all sloping ends
+            yield on_ground[start:end]
 
 
 def utility_poles(layout: Layout) -> Placed:
@@ -166,20 +155,18 @@ def utility_poles(layout: Layout) -> Placed:
     rng = layout.spec.stream("utility poles")
     if not layout.spec.utility_poles:
         return
-    height = float(rng.uniform(7.5, 9.5))
     _, line = next(edges(layout))
-    tops = []
-    for point, heading in along(layout, line, float(rng.uniform(32, 45)), rng, -2.6):
-        if layout.site.clear_of(point[:2], road=0.8, pavement=0.2, buildings=1.0)[0]:
-            yield _stands(layout, furniture.utility_pole(height, rng=rng), point, heading)
-            tops.append([*point[:2], float(layout.site.height(point[:2])[0]) + height - 0.4])
-    if len(tops) > 1:
-        yield [furniture.wires(np.array(tops))]
+    bases = []
+    for point, _ in along(layout, line, float(rng.uniform(32, 45)), rng, -2.6):
+        ground = float(layout.site.height(point[:2])[0])
+        free = layout.site.clear_of(point[:2], road=0.8, pavement=0.2, buildings=1.0)[0]
+        if free and not np.isnan(ground) and layout.site.claim([(*point[:2], 0.35)]):
+            bases.append([*point[:2], ground])
+    if len(bases) > 1:
+        yield furniture.utility_line(np.array(bases), rng=rng)
 
 
-_SMALL_TOWN = ("bollard", "bin", "bench", "hydrant", "cabinet", "post_box", "planter",
-               "bus_shelter", "advertising_column", "cone")  # fmt: skip
-_SMALL_RADIUS = {"bus_shelter": 2.2, "bench": 1.0, "advertising_column": 0.8, "planter": 0.7}
+_RADIUS_M = {"bus_shelter": 2.2, "bench": 1.0, "advertising_column": 0.8, "planter": 0.7}
 
 
 def small_things(layout: Layout) -> Placed:
@@ -190,67 +177,85 @@ def small_things(layout: Layout) -> Placed:
         return
     if layout.spec.small_per_100m <= 0:
         return
+    kinds = (*pavement.CLUTTER, "bus_shelter", "advertising_column")
     for lane, line in edges(layout):
         if lane.kind != "sidewalk":
             continue
         for point, heading in along(layout, line, 100.0 / layout.spec.small_per_100m, rng):
-            kind = _SMALL_TOWN[rng.integers(len(_SMALL_TOWN))]
-            radius = _SMALL_RADIUS.get(kind, 0.35)
-            inward = (radius + 0.2) if rng.random() < 0.5 else lane.width - 0.35
+            kind = kinds[rng.integers(len(kinds))]
+            radius = _RADIUS_M.get(kind, 0.35)
+            at_the_back = min(radius, lane.width / 2) + 0.1
+            by_the_kerb = lane.width - radius - 0.15
+            inward = at_the_back if radius > 0.5 or rng.random() < 0.5 else by_the_kerb
             left = np.array([-np.sin(heading), np.cos(heading), 0.0])
-            place = point + left * (inward if radius < 0.6 else min(radius, lane.width / 2))
-            made = furniture.small(kind, rng=rng)
-            yield _stands(layout, made, place, heading + np.pi / 2, radius)
+            model = _small(layout, kind, rng)
+            yield _stands(layout, model, point + inward * left, heading + np.pi / 2, radius)
+
+
+def _small(layout: Layout, kind: str, rng: np.random.Generator) -> Model:
+    if kind == "bus_shelter":
+        return furniture.bus_shelter(layout.sign_rects, rng=rng)
+    if kind == "advertising_column":
+        return furniture.advertising_column(layout.sign_rects, rng=rng)
+    return pavement.CLUTTER[kind](rng=rng)
 
 
 def _delineators(layout: Layout, rng: np.random.Generator) -> Placed:
     for _, line in edges(layout):
         for point, heading in along(layout, line, 50.0, rng, -0.5):
-            yield _stands(layout, furniture.small("delineator", rng=rng), point, heading + np.pi)
+            yield _stands(layout, furniture.delineator(rng=rng), point, heading + np.pi)
+
+
+# --- between road and land -----------------------------------------------------------------------
 
 
 def frontage(layout: Layout) -> Placed:
     """Hedges and fences between the road and the gardens or fields, with gaps."""
     rng = layout.spec.stream("frontage")
-    kinds = ("picket", "wood_panel", "iron", "mesh")
+    kinds = list(barriers.FENCES)
     for lane, line in edges(layout):
         kind = kinds[rng.integers(len(kinds))]
         behind = -0.6 if lane.kind == "sidewalk" else -3.2
-        for piece in _short_pieces(layout, line, behind, rng):
+        for stretch in _stretches(layout, line, behind, rng):
             chance = rng.random()
             if chance < layout.spec.hedges:
-                yield _hedge(layout, piece, rng)
+                yield _hedge(layout, stretch, rng)
             elif chance < layout.spec.hedges + layout.spec.fences:
-                yield furniture.fence(piece, kind, rng=rng)
+                yield [barriers.fence(kind, stretch, rng=rng)]
 
 
-def _short_pieces(
+FRONTAGE_AHEAD_M = 140.0
+"""Further away, fences and hedges are not worth their triangles."""
+
+
+def _stretches(
     layout: Layout, line: Array, offset: float, rng: np.random.Generator
 ) -> Iterator[Array]:
-    """Stretches of 6 to 16 m that meet no road, house or anything placed before."""
-    length = stations(line)[-1]
+    """Stretches (9, 3) of 6 to 16 m that meet no road, house or anything placed before."""
+    shifted = offset_line(line, offset)
+    length = stations(shifted)[-1]
     s = float(rng.uniform(0, 5))
     while s < length - 4.0:
         span = float(rng.uniform(6.0, 16.0))
-        stretch = at_station(offset_line(line, offset), np.linspace(s, min(length, s + span), 9))[0]
-        z = layout.site.height(stretch[:, :2])
+        xy = at_station(shifted, np.linspace(s, min(length, s + span), 9))[0][:, :2]
         s += span + (float(rng.uniform(3.0, 5.0)) if rng.random() < 0.3 else 0.0)
-        free = layout.site.clear_of(stretch[:, :2], road=0.25, pavement=0.12, buildings=0.9).all()
-        if not free or np.isnan(z).any() or not layout.in_view(stretch.mean(axis=0)):
+        far = np.linalg.norm(xy.mean(axis=0) - layout.rig_xy) > FRONTAGE_AHEAD_M
+        if far or not layout.in_view(xy.mean(axis=0)):
             continue
-        if np.linalg.norm(stretch.mean(axis=0)[:2] - layout.rig_xy) > 140.0:
-            continue
-        if layout.site.claim(np.column_stack([stretch[:, :2], np.full(9, 0.3)])):
-            yield np.column_stack([stretch[:, :2], z])
+        z = layout.site.height(xy)
+        free = layout.site.clear_of(xy, road=0.25, pavement=0.12, buildings=0.9).all()
+        discs = np.column_stack([xy, np.full(len(xy), 0.3)])
+        if free and not np.isnan(z).any() and layout.site.claim(discs):
+            yield np.column_stack([xy, z])
 
 
-def _hedge(layout: Layout, piece: Array, rng: np.random.Generator) -> Model:
+def _hedge(layout: Layout, stretch: Array, rng: np.random.Generator) -> Model:
     """A straight hedge from the first to the last point of a stretch."""
-    chord = piece[-1, :2] - piece[0, :2]
-    heading = float(np.arctan2(chord[1], chord[0]))
-    middle = piece.mean(axis=0)
+    chord = stretch[-1, :2] - stretch[0, :2]
+    middle = stretch.mean(axis=0)
     model = vegetation.hedge(
         float(np.linalg.norm(chord)), float(rng.uniform(0.9, 2.0)), float(rng.uniform(0.5, 0.9)),
         rng=rng, lod=layout.lod(middle, 18.0, 55.0),
     )  # fmt: skip
-    return sunk(layout.stand(model, middle, heading, z=float(piece[:, 2].min())), 0.05)
+    heading = float(np.arctan2(chord[1], chord[0]))
+    return sunk(layout.stand(model, middle, heading, z=float(stretch[:, 2].min())), 0.05)

@@ -104,15 +104,15 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     from simgen.recipe import stream
     from simgen.run import SetFolder, plan
     from simgen.shards import ShardSet
-    from simgen.store import assemble
+    from simgen.store import Source, assemble
 
     waiting = tmp_path / "waiting.h5"
-    write_frame(waiting, frames[0], pairs=job.rig.pairs, compression="gzip")
+    content = write_frame(waiting, frames[0], pairs=job.rig.pairs, compression="gzip")
     folder = SetFolder(tmp_path / "set")
     folder.path.mkdir()
     manifest = folder.open_manifest(job.content(), 16, 3)
     attributes = {"schema_version": 1}
-    entry = assemble(folder.path / "test-00000.h5", [(waiting, 0)], attributes=attributes,
+    entry = assemble(folder.path / "test-00000.h5", [Source(waiting, 0, content)], attributes=attributes,
                      split="test", compression="gzip")  # fmt: skip
     replace(manifest, shards=[entry]).save(folder.path)
     assert plan(3, 3, frames_per_scene=1, frames_per_shard=16, split="all").frames == [0]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -153,7 +154,6 @@ def test_workers_are_replaced_after_recycle_frames(tmp_path):
 
 
 def test_a_larger_n_continues_to_the_bytes_of_one_go(whole, tmp_path):
-    _render(tmp_path / "set", 2)
     _render(tmp_path / "set", 5)
     _render(tmp_path / "set", 7)
     assert _files(tmp_path / "set") == _files(whole)
@@ -195,19 +195,22 @@ import fakes
 import test_run
 if __name__ == "__main__":
     path = Path(sys.argv[1])
-    test_run._render(path, 7, getattr(fakes, sys.argv[2]),
+    test_run._render(path, int(sys.argv[3]), getattr(fakes, sys.argv[2]),
                      frame_done=lambda result: print(result.index, flush=True))
 """
 
 
 @contextmanager
-def _running(path: Path, render_one: str, num_done: int) -> Iterator[subprocess.Popen]:
+def _running(
+    path: Path, render_one: str, num_done: int, num_frames: int = 7
+) -> Iterator[subprocess.Popen]:
     """A run in a process of its own that has finished ``num_done`` frames."""
     script = path.parent / "script.py"
     script.write_text(_SCRIPT)
     with subprocess.Popen(
-        [sys.executable, script, path, render_one], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, env={**os.environ, "PYTHONPATH": CODE_PATHS},
+        [sys.executable, script, path, render_one, str(num_frames)], text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": CODE_PATHS},
     ) as child:  # fmt: skip
         assert child.stdout is not None
         for _ in range(num_done):
@@ -251,19 +254,19 @@ def test_kill_9_in_the_middle_of_a_shard_changes_nothing_in_the_end(whole, tmp_p
 
 
 def test_kill_9_between_two_attempts_does_not_record_a_rejection_twice(tmp_path):
-    _render(tmp_path / "whole", 7, fakes.reject_first_attempt)
+    _render(tmp_path / "whole", 2, fakes.reject_first_attempt)
     path = tmp_path / "set"
-    with _running(path, "reject_first_attempt_slowly", num_done=1) as child:
+    with _running(path, "reject_first_attempt_slowly", num_done=1, num_frames=2) as child:
         deadline = time.monotonic() + 20
         while not Manifest.load(path).redrawn and time.monotonic() < deadline:
             time.sleep(0.01)
         child.kill()
     assert [r["frame_index"] for r in Manifest.load(path).redrawn] == [1]
-    _render(path, 7, fakes.reject_first_attempt)
+    _render(path, 2, fakes.reject_first_attempt)
     assert _files(path) == _files(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("number, status", [(signal.SIGTERM, 143), (signal.SIGINT, 1)])
+@pytest.mark.parametrize("number, status", [(signal.SIGTERM, 143), (signal.SIGINT, -signal.SIGINT)])
 def test_a_signal_stops_at_once_and_keeps_what_is_finished(whole, tmp_path, number, status):
     path = tmp_path / "set"
     with _running(path, "render_slowly", num_done=2) as child:
@@ -271,9 +274,8 @@ def test_a_signal_stops_at_once_and_keeps_what_is_finished(whole, tmp_path, numb
         child.send_signal(number)
         _, errors = child.communicate(timeout=20)
     assert time.monotonic() - start < 5
-    interrupted = number == signal.SIGINT
-    assert child.returncode == (-signal.SIGINT if interrupted else status)
-    assert ("KeyboardInterrupt" in errors) == interrupted
+    assert child.returncode == status
+    assert ("KeyboardInterrupt" in errors) == (number == signal.SIGINT)
     assert _workers_end(tmp_path)
     assert (path / FRAMES_DIR / "00000001.h5").exists()
     _render(path, 7)
@@ -368,17 +370,11 @@ def test_three_rejections_are_a_failure_and_the_rest_is_finished(tmp_path):
 
 
 def test_failures_are_tried_again_by_the_next_run(whole, tmp_path):
-    _render(tmp_path / "set", 7, fakes.reject_always)
-    before = _files(tmp_path / "set")
-    _render(tmp_path / "set", 7, fakes.reject_always)
-    assert _files(tmp_path / "set") == before
+    failed = _render(tmp_path / "set", 7, fakes.reject_always)
+    assert _render(tmp_path / "set", 7, fakes.reject_always) == failed
+    assert _render(tmp_path / "set", 1).failures == failed.failures  # not asked for: stays listed
     _render(tmp_path / "set", 7)
     assert _files(tmp_path / "set") == _files(whole)
-
-
-def test_a_failure_outside_what_is_asked_for_stays_listed(tmp_path):
-    _render(tmp_path / "set", 3, fakes.reject_always)
-    assert len(_render(tmp_path / "set", 1).failures) == 1
 
 
 # --- damage between runs -------------------------------------------------------------------------
@@ -403,8 +399,7 @@ def _foreign(shard: Path) -> None:
 
 @pytest.mark.parametrize("damage", (_deleted, _truncated, _emptied, _foreign))
 def test_frames_of_a_lost_or_damaged_shard_are_redone(whole, tmp_path, damage):
-    path, notes, rendered = tmp_path / "set", [], []
-    _render(path, 7)
+    path, notes, rendered = shutil.copytree(whole, tmp_path / "set"), [], []
     damage(path / "train-00001.h5")
     _render(path, 7, note=notes.append, frame_done=lambda result: rendered.append(result.index))
     assert rendered == [4, 5, 6]
@@ -415,8 +410,7 @@ def test_frames_of_a_lost_or_damaged_shard_are_redone(whole, tmp_path, damage):
 
 
 def test_a_shard_with_something_appended_is_restored(whole, tmp_path):
-    path, rendered = tmp_path / "set", []
-    _render(path, 7)
+    path, rendered = shutil.copytree(whole, tmp_path / "set"), []
     with open(path / "train-00000.h5", "ab") as file:
         file.write(b"garbage")
     _render(path, 7, frame_done=lambda result: rendered.append(result.index))
@@ -447,7 +441,8 @@ def test_a_run_killed_between_a_longer_shard_and_its_manifest_loses_nothing(
 
 def test_a_damaged_waiting_frame_is_redone(whole, tmp_path):
     path = tmp_path / "set"
-    _render(path, 1)
+    with SetFolder(path).locked():
+        SetFolder(path).open_manifest(FakeJob().content(), 3, 3)
     SetFolder(path).frame_path(2).write_bytes(b"\x89HDF\r\n\x1a\n")
     _render(path, 7)
     assert _files(path) == _files(whole)
@@ -472,16 +467,14 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path):
         _render(tmp_path / "set", 1)
 
 
-def test_other_options_are_refused_and_listed(tmp_path):
-    _render(tmp_path / "set", 1)
-    before = _files(tmp_path / "set")
-    other = FakeJob(seed=5, compression="zstd")
+def test_other_options_are_refused_and_listed(whole):
+    before = _files(whole)
     with pytest.raises(UserError) as error:
-        _render(tmp_path / "set", 1, job=other)
+        _render(whole, 1, job=FakeJob(seed=5, compression="zstd"))
     assert "was rendered with other options" in str(error.value)
     assert "compression: the folder has gzip, you asked for zstd; " in str(error.value)
     assert "seed: the folder has 0, you asked for 5. " in str(error.value)
-    assert _files(tmp_path / "set") == before
+    assert _files(whole) == before
 
 
 def test_other_shard_sizes_and_versions_are_refused(tmp_path, monkeypatch):

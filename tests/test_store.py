@@ -193,7 +193,9 @@ def test_unknown_compression_is_refused_by_name(tmp_path):
 
 def test_zstd_without_hdf5plugin_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
-    with pytest.raises(UserError, match="--compression zstd, which needs .* pip install hdf5plugin"):
+    with pytest.raises(
+        UserError, match=r"--compression zstd, which needs .* pip install hdf5plugin"
+    ):
         _write(tmp_path / "f.h5", 1, "zstd")
 
 

@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simgen.config import Job, RenderOptions, load_rig, parse_size, resolve
+from simgen.errors import UserError
+from simgen.recipe import draw_scene, draw_sky, pick, scenes_dir, stream
+
+OPTIONS = RenderOptions(n=9)
+
+
+def _job(**options: object) -> Job:
+    return resolve(replace(OPTIONS, **options), "scalar_rgb")
+
+
+def _recipe_file(folder: Path, *, name: str = "mine.toml", **changes: str) -> Path:
+    """urban.toml with lines ``key = …`` replaced."""
+    lines = (scenes_dir() / "urban.toml").read_text(encoding="utf-8").splitlines()
+    for key, value in changes.items():
+        (number,) = (i for i, line in enumerate(lines) if line.startswith(f"{key} = "))
+        lines[number] = f"{key} = {value}"
+    folder.mkdir(exist_ok=True)
+    path = folder / name
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+# --- a job is its content ------------------------------------------------------------------------
+
+
+def test_the_defaults_are_those_of_the_readme():
+    job = _job()
+    assert job.wh == (2560, 1440)
+    assert sorted(job.recipes) == ["highway", "rural", "suburban", "urban"]
+    assert sorted(job.weather) == ["clear", "overcast", "partly_cloudy"]
+    assert "night" not in job.daylight
+    assert job.rig.pairs == [(0, 1), (1, 2), (0, 2)]
+
+
+def test_a_job_is_the_inverse_of_its_content():
+    job = _job(
+        seed=7, size="64x48", rig="truck", recipes="urban,rural", daylight="night", flow=False
+    )
+    assert Job.from_content(job.content()) == job
+    assert Job.from_content(json.loads(json.dumps(job.content(), sort_keys=True))) == job
+
+
+def test_each_option_that_decides_pixels_changes_the_content():
+    base = _job().content()
+    changes = {"seed": 1, "rig": "truck", "size": "64x48", "spp": 8, "denoise": False,
+               "sensor": "ideal", "recipes": "urban", "weather": "clear", "daylight": "noon",
+               "frames_per_scene": 2, "flow": False, "compression": "zstd"}  # fmt: skip
+    for name, value in changes.items():
+        assert _job(**{name: value}).content() != base, name
+    for name, value in {
+        "n": 99,
+        "workers": 2,
+        "recycle": 3,
+        "split": "test",
+        "force": True,
+    }.items():
+        assert _job(**{name: value}).content() == base, name
+
+
+def _draws(job: Job) -> list[object]:
+    """What a job's first scenes draw."""
+    drawn: list[object] = []
+    for scene in range(20):
+        seed = (job.seed, scene, 0)
+        name = pick({k: r.share for k, r in job.recipes.items()}, rng=stream(*seed, "which"))
+        sky = draw_sky(job.daylight, job.weather, seed=seed)
+        spec = draw_scene(name, job.recipes[name], sky=sky, seed=seed)
+        drawn += [spec.to_json(), list(spec.species), list(spec.families)]
+    return drawn
+
+
+def test_draws_depend_on_no_order_of_names_or_keys(tmp_path):
+    job = _job(recipes="urban,rural", weather="clear,overcast", daylight="noon,dawn")
+    turned = _job(recipes="rural,urban", weather="overcast,clear", daylight="dawn,noon")
+    stored = Job.from_content(json.loads(json.dumps(job.content(), sort_keys=True)))
+    assert _draws(job) == _draws(turned) == _draws(stored)
+    rules = "{ downtown = 0.5, town = 0.5 }"
+    same = _recipe_file(tmp_path, name="urban.toml", rules=rules)
+    assert _draws(_job(recipes="urban")) == _draws(_job(recipes=str(same)))
+
+
+# --- what takes part -----------------------------------------------------------------------------
+
+
+def test_presets_without_a_share_take_part_only_if_named():
+    assert "night" not in _job().daylight
+    assert list(_job(daylight="night").daylight) == ["night"]
+    both = _job(daylight="noon,night").daylight
+    assert {k: t.share for k, t in both.items()} == {"noon": 1.0, "night": 1.0}
+
+
+def test_named_presets_keep_their_shares():
+    assert {k: t.share for k, t in _job(weather="clear, overcast").weather.items()} == {
+        "clear": 0.35, "overcast": 0.3
+    }  # fmt: skip
+
+
+def test_recipes_are_named_or_read_from_files(tmp_path):
+    path = _recipe_file(tmp_path, keep="0.1")
+    job = _job(recipes=f"urban,{path}")
+    assert sorted(job.recipes) == ["mine", "urban"]
+    assert job.recipes["mine"].buildings.keep == 0.1
+
+
+def test_two_different_files_of_one_name_are_refused(tmp_path):
+    path = _recipe_file(tmp_path, name="urban.toml", keep="0.1")
+    with pytest.raises(UserError, match="two different files are called urban. Rename one"):
+        _job(recipes=f"urban,{path}")
+    assert list(_job(recipes="urban,urban").recipes) == ["urban"]
+
+
+@pytest.mark.parametrize("text, wh", [("2560x1440", (2560, 1440)), (" 64X48 ", (64, 48)),
+                                      ("17×16", (17, 16))])  # fmt: skip
+def test_sizes_are_width_times_height(text, wh):
+    assert parse_size(text) == wh
+
+
+def test_a_rig_decides_the_size_unless_one_is_given():
+    assert _job(rig="truck").wh == (3848, 2168)
+    assert _job(rig="truck", size="640x360").wh == (640, 360)
+
+
+def test_a_rig_is_read_from_a_file(tmp_path):
+    text = (scenes_dir() / "rigs" / "default.toml").read_text(encoding="utf-8")
+    path = tmp_path / "wide.toml"
+    path.write_text(text.replace("hfov_deg = 90", "hfov_deg = 120"), encoding="utf-8")
+    name, rig = load_rig(str(path))
+    assert (name, rig.hfov_deg) == ("wide", 120.0)
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change, expected", [
+    ({"n": 0}, r"--n 0: expected a whole number from 1 on\."),
+    ({"n": -3}, r"--n -3: expected a whole number from 1 on\."),
+    ({"n": 10**12}, r"--n 1000000000000: expected at most 10000000 pairs\."),
+    ({"spp": 0}, r"--spp 0: expected a whole number from 1 on\."),
+    ({"spp": 3}, r"--spp 3: expected a power of two up to 4096"),
+    ({"spp": 8192}, r"--spp 8192: expected a power of two up to 4096"),
+    ({"seed": -1}, r"--seed -1: expected a whole number from 0 to 2\^63 - 1"),
+    ({"seed": 1 << 63}, r"--seed 9223372036854775808: expected a whole number from 0"),
+    ({"workers": 0}, r"--workers 0: expected a whole number from 1 on\."),
+    ({"workers": 10**6}, r"--workers 1000000: this machine has \d+ cores"),
+    ({"frames_per_shard": 0}, r"--frames-per-shard 0: expected a whole number from 1 on\."),
+    ({"frames_per_scene": 0}, r"--frames-per-scene 0: expected a whole number from 1 on\."),
+    ({"sensor": "film"}, r"--sensor film: expected one of camera, ideal"),
+    ({"size": "640"}, r"--size '640': expected WIDTHxHEIGHT in pixels, like 2560x1440"),
+    ({"size": "640x"}, r"--size '640x': expected WIDTHxHEIGHT"),
+    ({"size": "-640x360"}, r"--size '-640x360': expected WIDTHxHEIGHT"),
+    ({"size": "8x8"}, r"--size 8x8: expected from 16x16 to 16384x16384 pixels"),
+    ({"size": "99999x360"}, r"--size 99999x360: expected from 16x16 to 16384x16384 pixels"),
+    ({"rig": "bike"}, r"--rig bike: expected one of default, truck, or the path of a TOML file"),
+    ({"recipes": "moon"}, r"Recipe 'moon' is not known\. Expected one of highway, rural, suburban, "
+                          r"urban, or the path"),
+    ({"weather": "clear,hail"}, r"--weather hail: unknown; expected some of clear, partly_cloudy"),
+    ({"daylight": "tea"}, r"--daylight tea: unknown; expected some of dawn, morning, noon"),
+])  # fmt: skip
+def test_impossible_options_are_refused(change, expected):
+    with pytest.raises(UserError, match=expected):
+        _job(**change)
+
+
+@pytest.mark.parametrize("change, expected", [
+    ('camera_y_m = [0.8, 0.0, 0.4]', "camera_y_m must fall from left"),
+    ('hfov_deg = 190.0', r"key 'hfov_deg' = 190\.0: .*less than or equal to 140"),
+    ('size = [4, 4]', r"--size 4x4: expected from 16x16"),
+    ('camera_y_m = [0.8, nan, -0.8]', r"key 'camera_y_m\.1' = nan"),
+])  # fmt: skip
+def test_an_impossible_rig_is_refused(tmp_path, change, expected):
+    key = change.split(" = ")[0]
+    text = (scenes_dir() / "rigs" / "default.toml").read_text(encoding="utf-8")
+    lines = [change if line.startswith(f"{key} = ") else line for line in text.splitlines()]
+    assert change in lines
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(UserError, match=expected):
+        _job(rig=str(path))
+
+
+def test_every_int64_seed_draws():
+    assert np.isfinite(stream((1 << 63) - 1, 0, 0, "x").random())
