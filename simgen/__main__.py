@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from tyro.conf import Positional
 
 from simgen.config import RenderOptions
 from simgen.errors import UserError
-
-Positional = tyro.conf.Positional
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class ValidateOptions:
     """
 
     folder: Positional[Path]
-    """a set made by "simgen render"""
+    """folder of a set, as simgen render makes it"""
 
 
 @dataclass(frozen=True)
@@ -33,17 +32,17 @@ class ReportOptions:
     """Writes one self-contained HTML page about a set: contact sheet, distributions, timings."""
 
     folder: Positional[Path]
-    """a set made by "simgen render"""
+    """folder of a set, as simgen render makes it"""
     out: Path | None = None
     """the page; FOLDER/report.html if not given"""
 
 
 @dataclass(frozen=True)
 class ShowOptions:
-    """Draws one frame as a PNG: images, depth, flow, status, the pair before and after rectifying."""
+    """Draws a frame as a PNG: images, depth, flow, status, the pair before and after rectifying."""
 
     folder: Positional[Path]
-    """a set made by "simgen render"""
+    """folder of a set, as simgen render makes it"""
     frame: int
     """frame index"""
     pair: int = 0
@@ -57,7 +56,7 @@ class ExportOptions:
     """Writes one frame as OpenEXR (linear radiance rendered again, depth, flow, ids) and PNG."""
 
     folder: Positional[Path]
-    """a set made by "simgen render"""
+    """folder of a set, as simgen render makes it"""
     frame: int
     """frame index"""
     to: Path
@@ -69,7 +68,7 @@ class DescribeOptions:
     """Says what is in a set: frames, fields with shapes and units, conventions, config."""
 
     folder: Positional[Path]
-    """a set made by "simgen render"""
+    """folder of a set, as simgen render makes it"""
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ Command = (
 def main(args: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status."""
     options: Any = tyro.cli(
-        Command,  # type: ignore[arg-type]
+        Command,
         prog="simgen",
         description="Road scenes for wide-baseline stereo, with exact ground truth.",
         args=args,
@@ -105,7 +104,10 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"simgen: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nsimgen: stopped. Finished frames are kept; the same command goes on.", file=sys.stderr)
+        print(
+            "\nsimgen: stopped. Finished frames are kept; the same command goes on.",
+            file=sys.stderr,
+        )
         return 130
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -9,17 +9,18 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, PercentFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from simgen.geometry import Array
 from simgen.schema import LABEL_COLORS, LABELS
 
-_SIZE = (5.6, 2.7)  # inches of 72 px
+_SIZE, _WIDE = (5.6, 2.7), (11.2, 2.2)  # inches of 72 px
 _INK, _FAINT = "#444b54", "#d9dde2"
 _SERIES = ("#3f72af", "#d1793a", "#4a9b7f", "#8b6fb0", "#b8a13a", "#777f88")
 _STAGES = ("#274c77", "#4f7cac", "#86a8c9", "#bcd0e2", "#2f7d6b", "#5fae97", "#a6d3c4",
            "#c8763c", "#e2a878", "#8b6fb0", "#bda9d6", "#777f88", "#aab1b8")  # fmt: skip
+_AS_PERCENT = FuncFormatter(lambda value, _: f"{100 * value:.3g} %")
 
 
 def to_svg(figure: Figure, name: str) -> str:
@@ -49,24 +50,28 @@ def histogram(
     """
     figure, axes = _empty(_SIZE)
     for (name, counts), color in zip(series.items(), _cycle(_SERIES, len(series)), strict=True):
-        share = _shares(counts)
-        axes.stairs(share, edges, label=name, color=color, linewidth=1.6)
-        axes.stairs(share, edges, fill=True, color=color, alpha=0.35 / len(series), linewidth=0)
+        axes.stairs(_shares(counts), edges, label=name, color=color, linewidth=1.6)
+        if len(series) == 1:
+            axes.stairs(_shares(counts), edges, fill=True, color=color, alpha=0.3, linewidth=0)
     if expected is not None:
-        total = min(int(np.sum(counts)) for counts in series.values())
-        spread = 1.96 * np.sqrt(expected * (1 - expected) / max(1, total))
-        axes.axhspan(expected - spread, expected + spread, color=_FAINT, alpha=0.6, linewidth=0)
-        axes.axhline(expected, color=_INK, linewidth=1, linestyle=":", label="uniform")
+        _draw_uniform(axes, expected, min(int(np.sum(counts)) for counts in series.values()))
     if log:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(*_occupied(edges, series))
     axes.set_ylim(bottom=0)
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    axes.yaxis.set_major_formatter(_AS_PERCENT)
     _label(axes, x, y)
     if len(series) > 1 or expected is not None:
         _legend_above(axes, len(series) + 1)
     return figure
+
+
+def _draw_uniform(axes: Axes, expected: float, num_values: int) -> None:
+    spread = 1.96 * np.sqrt(expected * (1 - expected) / max(1, num_values))
+    low = max(0.0, expected - spread)
+    axes.axhspan(low, expected + spread, color=_FAINT, alpha=0.6, linewidth=0, zorder=0.5)
+    axes.axhline(expected, color=_INK, linewidth=1, linestyle=":", label="uniform")
 
 
 def class_shares(counts: NDArray[np.int64]) -> Figure:
@@ -79,10 +84,11 @@ def class_shares(counts: NDArray[np.int64]) -> Figure:
     colors = [np.array(LABEL_COLORS.get(int(i), (0, 0, 0))) / 255 for i in present]
     axes.barh(rows, share[present], color=colors, height=0.72)
     for row, i in zip(rows, present, strict=True):
-        axes.text(share[i], float(row), f" {_percent(share[i])}", va="center", size=9, color=_INK)
+        axes.annotate(_percent(share[i]), (share[i], row), (4, 0), textcoords="offset points",
+                      va="center", size=9, color=_INK)  # fmt: skip
     axes.set_yticks(rows, [names.get(int(i), f"id {i}") for i in present])
     axes.set_xlim(0, 1.15 * share.max())
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.xaxis.set_major_formatter(_AS_PERCENT)
     axes.grid(False, axis="y")
     axes.grid(True, axis="x", color=_FAINT, linewidth=0.6)
     _label(axes, "share of pixels", "")
@@ -91,7 +97,7 @@ def class_shares(counts: NDArray[np.int64]) -> Figure:
 
 def stage_seconds(stages: Mapping[str, Array]) -> Figure:
     """Two bars, cut into the stages of a frame: means, and medians."""
-    figure, axes = _empty((2 * _SIZE[0], 2.2))
+    figure, axes = _empty(_WIDE)
     left = np.zeros(2)
     for (stage, seconds), color in zip(stages.items(), _cycle(_STAGES, len(stages)), strict=True):
         width = np.array([np.median(seconds), np.mean(seconds)])
@@ -106,15 +112,18 @@ def stage_seconds(stages: Mapping[str, Array]) -> Figure:
     return figure
 
 
-def memory(gigabytes: Mapping[str, Sequence[tuple[int, float]]]) -> Figure:
-    """Resident memory of each worker over the frames of the set, in the order of time."""
-    figure, axes = _empty(_SIZE)
-    for (name, points), color in zip(
-        gigabytes.items(), _cycle(_SERIES, len(gigabytes)), strict=True
-    ):
-        place, value = np.array(points).T
-        axes.plot(place, value, "o-", markersize=2.5, linewidth=1.2, color=color, label=name)
+def memory(processes: Sequence[Sequence[tuple[int, float]]]) -> Figure:
+    """Resident memory of each process over the frames of the set, in the order of time.
+
+    Args:
+      processes: for each, (place of a frame in time, GB).
+    """
+    figure, axes = _empty(_WIDE)
+    for points, color in zip(processes, _cycle(_SERIES, len(processes)), strict=True):
+        place, gigabytes = np.array(points).T
+        axes.plot(place, gigabytes, "o-", markersize=2.5, linewidth=1.2, color=color)
     axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _label(axes, "frames finished", "resident memory [GB]")
     return figure
 

@@ -32,8 +32,8 @@ MAX_PAIRS = 10_000_000
 class RenderOptions:
     """Renders a set of stereo pairs with exact ground truth.
 
-    Nothing but the seed decides what is rendered. Running the same command again resumes; a
-    larger --n continues the set.
+    What is rendered follows from these options and the seed alone. The same command again resumes;
+    a larger --n continues the set. Any other difference needs another folder.
     """
 
     n: int
@@ -53,15 +53,13 @@ class RenderOptions:
     sensor: Literal["camera", "ideal"] = "camera"
     """camera: noise, vignetting, small differences in gain; ideal: exposure and tone curve only"""
     recipes: str = ""
-    """comma-separated names (urban,suburban,highway,rural) or paths of TOML files; all by their
-    shares if not given"""
+    """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given"""
     weather: str = ""
-    """comma-separated presets of scenes/weather.toml (clear,partly_cloudy,overcast)"""
+    """comma-separated presets (clear,partly_cloudy,overcast); all if not given"""
     daylight: str = ""
-    """comma-separated presets of scenes/daylight.toml (dawn,morning,noon,afternoon,dusk,night)"""
+    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); all by day if not given"""
     split: Literal["all", "train", "test"] = "all"
-    """render one side of the split only; a frame is a test frame if its scene number is divisible
-    by 10"""
+    """render one side only; a scene is a test scene if its number is divisible by 10"""
     frames_per_scene: int = 1
     """frames of one drive through the same scene"""
     frames_per_shard: int = 16
@@ -154,7 +152,7 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         seed=options.seed,
         rig_name=rig_name,
         rig=rig,
-        wh=parse_size(options.size or f"{rig.size[0]}x{rig.size[1]}"),
+        wh=parse_size(options.size) if options.size else rig.size,
         spp=options.spp,
         denoise=options.denoise,
         sensor=options.sensor,

@@ -84,14 +84,19 @@ def _versions(spec: dict[str, Any]) -> str:
 
 def _config(config: dict[str, Any]) -> str:
     """Plain values as they are; of the tables of recipes, daylight and weather the shares."""
-    rows = []
+    rows: list[tuple[str, str]] = []
     for name, value in config.items():
         if name in ("recipes", "daylight", "weather"):
-            value = ", ".join(f"{key} {table['share']:g}" for key, table in value.items())
+            rows.append((name, ", ".join(f"{k} {v['share']:g}" for k, v in value.items())))
         elif name == "rig":
-            value = {k: v for k, v in value.items() if k not in ("intent", "size")}
-        rows.append((name, value if isinstance(value, str) else json.dumps(value)))
+            rows += [(f"rig.{k}", _plain(v)) for k, v in value.items()]
+        else:
+            rows.append((name, _plain(value)))
     return _titled("Configuration (in full in manifest.json)", _aligned(rows))
+
+
+def _plain(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _faults(manifest: Manifest) -> str:

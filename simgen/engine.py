@@ -195,12 +195,9 @@ def activate(engine: Engine, threads: int | None = None) -> None:
 
 
 def _import_without_llvm() -> None:
-    """Dr.Jit loads any libLLVM it finds, for every variant, and prints if it fails: neither here."""
-    named, stderr, null = (
-        os.environ.get(LLVM_PATH_VARIABLE),
-        os.dup(2),
-        os.open(os.devnull, os.O_RDWR),
-    )
+    """Dr.Jit loads any libLLVM, for every variant, and prints if it finds none: neither here."""
+    named = os.environ.get(LLVM_PATH_VARIABLE)
+    stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.environ[LLVM_PATH_VARIABLE] = os.devnull
     os.dup2(null, 2)
     try:
@@ -209,6 +206,6 @@ def _import_without_llvm() -> None:
         os.dup2(stderr, 2)
         os.close(stderr)
         os.close(null)
-        del os.environ[LLVM_PATH_VARIABLE]
+        os.environ.pop(LLVM_PATH_VARIABLE)
         if named is not None:
             os.environ[LLVM_PATH_VARIABLE] = named

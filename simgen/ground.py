@@ -351,7 +351,7 @@ def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> NDArray[np
     ):
         tone += (layer_tone - tone) * share
         color += (np.float32(layer_color) - color) * _half(share)[..., None]
-    tone *= 1 - 0.65 * canvas.mask(layers.seams, thin=0.012)
+    tone *= 1 - 0.6 * np.maximum(road, pavement) * canvas.mask(layers.seams, thin=0.01)
     canvas.cover(tone, color, layers.covers)
     canvas.draw_lines(tone, color, layers.paint, wear)
     return _encoded(tone, color)

@@ -24,15 +24,10 @@ def section(title: str, body: str, note: str = "") -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> str:
     """A table of texts; ``numbers`` aligns all columns but the first to the right."""
-    cells = "".join(f"<th>{cell(text)}</th>" for text in head)
-    body = "".join(f"<tr>{''.join(f'<td>{cell(c)}</td>' for c in row)}</tr>" for row in rows)
+    cells = "".join(f"<th>{escape(text)}</th>" for text in head)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in rows)
     style = ' class="numbers"' if numbers else ""
     return f"<table{style}><tr>{cells}</tr>{body}</table>"
-
-
-def cell(text: str) -> str:
-    """Text as HTML."""
-    return escape(plain(text))
 
 
 def plain(name: str) -> str:
@@ -79,7 +74,6 @@ figcaption { padding: .35rem .55rem; font-size: .76rem; color: #68707a; line-hei
 .charts figure, .wide figure { padding: .9rem 1rem .5rem; margin-bottom: 0; }
 .wide { display: grid; gap: 1rem; }
 svg { width: 100%; height: auto; display: block; }
-.wide figure:last-child svg { max-width: 560px; }
 details { margin-top: 1rem; }
 summary { cursor: pointer; color: #3f72af; }
 pre { background: #fff; border: 1px solid #e3e6ea; padding: 1rem; font-size: .78rem;

@@ -2,7 +2,8 @@
 
 Two passes: a path tracer with few samples, and a cheap first-hit pass with many that measures
 albedo, normals and distance. The denoiser works on *irradiance* (radiance / albedo of the same
-samples); multiplying by the well-sampled albedo brings the texture back untouched.
+samples); multiplying by the well-sampled albedo brings the texture back untouched. The sky is
+added last and never denoised.
 
 Mitsuba's camera has x to the left and y up where ours (OpenCV) has x right and y down: the flip
 is here and nowhere else.
@@ -39,13 +40,15 @@ class Features:
     """First-hit means over each pixel."""
 
     albedo: Image
-    """(H, W, 3), 1 where the sky is seen"""
+    """(H, W, 3) of what surfaces cover, times their coverage"""
     normal: Image
     """(H, W, 3), 0 for the sky"""
     distance_m: Image
     """(H, W) mean distance of the surfaces in the pixel"""
     coverage: Image
     """(H, W) share of the pixel that surfaces cover"""
+    sky: Image
+    """(H, W, 3) radiance of the sky, times the share of the pixel that it fills"""
 
 
 @dataclass(frozen=True)
@@ -63,13 +66,14 @@ def render(
     """Linear radiance (H, W, 3) without haze, and the first-hit features."""
     sensor = load_sensor(camera)
     start = time.perf_counter()
-    radiance, noisy_albedo = _trace_paths(scene, sensor, spp, seed)
+    surfaces, noisy_albedo = _trace_paths(scene, sensor, spp, seed)
     traced = time.perf_counter()
     features = _trace_features(scene, sensor, seed + 1)
     measured = time.perf_counter()
     if denoise:
-        irradiance = _denoised(radiance / noisy_albedo, features)
-        radiance = irradiance * np.maximum(features.albedo, MIN_ALBEDO)
+        irradiance = _denoised(surfaces / noisy_albedo, features)
+        surfaces = irradiance * _lifted(features.albedo, features.coverage)
+    radiance = surfaces + features.sky
     done = time.perf_counter()
     return radiance, features, Timings(traced - start, measured - traced, done - measured)
 
@@ -79,8 +83,9 @@ def through_haze(radiance: Image, features: Features, haze: Image, visibility_m:
 
     The sky is left alone: its map already holds the whole depth of the air.
     """
-    veil = (1 - transmittance(features.distance_m, visibility_m)) * features.coverage
-    return radiance + (haze - radiance) * veil[..., None]
+    lost = 1 - transmittance(features.distance_m, visibility_m)[..., None]
+    surfaces = radiance - features.sky
+    return radiance + lost * (haze * features.coverage[..., None] - surfaces)
 
 
 def load_sensor(camera: Camera) -> Any:
@@ -114,17 +119,17 @@ def load_sensor(camera: Camera) -> Any:
 
 
 def _trace_paths(scene: Scene, sensor: Any, spp: int, seed: int) -> tuple[Image, Image]:
-    """Radiance (H, W, 3), and the albedo (H, W, 3) of the same samples."""
+    """Radiance of the surfaces in view (H, W, 3), and the albedo (H, W, 3) of the same samples."""
     integrator = mi.load_dict(
         {
             "type": "aov",
             "aovs": "albedo:albedo",
-            "paths": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": RR_DEPTH},
+            "paths": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": RR_DEPTH,
+                      "hide_emitters": True},
         }
-    )
+    )  # fmt: skip
     image = _rendered(scene, integrator, sensor, spp, seed)
-    sky = 1.0 - image[..., 3:4]
-    return image[..., :3], np.maximum(image[..., 4:7] + sky, MIN_ALBEDO)
+    return image[..., :3], np.maximum(_lifted(image[..., 4:7], image[..., 3]), 1e-4)
 
 
 def _trace_features(scene: Scene, sensor: Any, seed: int) -> Features:
@@ -133,13 +138,19 @@ def _trace_features(scene: Scene, sensor: Any, seed: int) -> Features:
             "type": "aov",
             "aovs": "albedo:albedo,normal:sh_normal",
             "distance": {"type": "depth"},
+            "sky": {"type": "path", "max_depth": 1},
         }
     )
     image = _rendered(scene, integrator, sensor, FEATURE_SPP, seed)
-    distance, coverage = image[..., 0], image[..., 3]
-    albedo, normal = image[..., 4:7], image[..., 7:10]
+    distance, coverage, sky = image[..., 0], image[..., 3], image[..., 4:7]
+    albedo, normal = image[..., 8:11], image[..., 11:14]
     mean_distance = distance / np.maximum(coverage, 1e-6)
-    return Features(albedo + (1 - coverage[..., None]), normal, mean_distance, coverage)
+    return Features(albedo, normal, mean_distance, coverage, sky)
+
+
+def _lifted(albedo: Image, coverage: Image) -> Image:
+    """Albedo of at least MIN_ALBEDO on what surfaces cover."""
+    return np.maximum(albedo, MIN_ALBEDO * coverage[..., None])
 
 
 def _rendered(scene: Scene, integrator: Any, sensor: Any, spp: int, seed: int) -> Image:
@@ -152,7 +163,7 @@ def _rendered(scene: Scene, integrator: Any, sensor: Any, spp: int, seed: int) -
 def _denoised(irradiance: Image, features: Features) -> Image:
     return pyoidn.denoise(
         np.ascontiguousarray(irradiance),
-        albedo=np.ascontiguousarray(np.clip(features.albedo, 0, 1)),
+        albedo=np.clip(features.albedo + (1 - features.coverage[..., None]), 0, 1),
         normal=np.ascontiguousarray(features.normal),
         hdr=True,
         clean_aux=True,

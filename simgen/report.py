@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from simgen import charts
 from simgen.errors import UserError
 from simgen.geometry import Array
-from simgen.page import cell, page, plain, section, size_text, table
+from simgen.page import page, plain, section, size_text, table
 from simgen.paint import Rgb
 from simgen.shards import Manifest, ShardSet, write_atomically
 from simgen.survey import DEPTH_EDGES_M, FLOW_EDGES_PX, Measured, RunLog, measure, read_log
@@ -29,7 +29,7 @@ from simgen.survey import DEPTH_EDGES_M, FLOW_EDGES_PX, Measured, RunLog, measur
 MAX_THUMBNAILS = 96
 _THUMBNAIL_WIDTH = 264
 _JPEG_QUALITY = 80
-_NUM_BINS = 20
+_NUM_BINS, _NUM_ANGLE_BINS = 50, 10
 _AXES = ("x (pitch)", "y (yaw)", "z (roll)")
 
 
@@ -92,7 +92,7 @@ def _heading(frames: ShardSet, measured: Sequence[Measured]) -> str:
 def _asked_for(config: dict[str, Any]) -> list[tuple[str, str]]:
     rig = config["rig"]
     return [
-        ("rig", f"{rig['name']}: cameras at {', '.join(f'{y:+g}' for y in rig['camera_y_m'])} m"),
+        ("rig", f"{rig['name']}: cameras at {', '.join(f'{y:g}' for y in rig['camera_y_m'])} m"),
         ("pairs", ", ".join(f"{a}-{b}" for a, b in rig["pairs"])),
         ("field of view", f"{rig['hfov_deg']:g}° across"),
         ("drawn rotation", f"within ±{rig['perturbation_deg']:g}° about each axis"),
@@ -144,7 +144,8 @@ def _contact_sheet(frames: ShardSet, measured: Sequence[Measured]) -> str:
             f"<br>{near:.1f} to {far:.0f} m, flow to {m.flow_longest_px.max():.0f} px"
             "</figcaption></figure>"
         )
-    note = f"Camera {camera} of {len(cells)} of {len(measured)} frames."
+    shown = "all" if len(cells) == len(measured) else f"{len(cells)} of"
+    note = f"Camera {camera} of {shown} {len(measured)} frames."
     return section("Contact sheet", f'<div class="sheet">{"".join(cells)}</div>', note)
 
 
@@ -192,7 +193,7 @@ def _distributions(frames: ShardSet, measured: Sequence[Measured]) -> str:
 
 def _angles(measured: Sequence[Measured], limit_deg: float) -> Figure:
     """Histograms of the drawn angles; a rig without a perturbation has them all at 0."""
-    edges = np.linspace(-1, 1, _NUM_BINS // 2 + 1) * (limit_deg or 1.0)
+    edges = np.linspace(-1, 1, _NUM_ANGLE_BINS + 1) * (limit_deg or 1.0)
     drawn = _stacked(measured, lambda m: m.perturbation_deg).reshape(-1, 3)
     return charts.histogram(
         edges, _binned(_AXES, drawn.T, edges), x="angle about an axis of the camera [°]",
@@ -218,10 +219,10 @@ def _strata(config: dict[str, Any], measured: Sequence[Measured]) -> str:
     """A table of recipe by daylight and weather, and the shares that were asked for."""
     counts = Counter(m.stratum for m in measured)
     daylights, weathers = list(config["daylight"]), list(config["weather"])
-    head = "".join(f'<th colspan="{len(weathers)}">{cell(d)}</th>' for d in daylights)
-    below = "".join(f"<th>{cell(w)}</th>" for _ in daylights for w in weathers)
+    head = "".join(f'<th colspan="{len(weathers)}">{_name(d)}</th>' for d in daylights)
+    below = "".join(f"<th>{_name(w)}</th>" for _ in daylights for w in weathers)
     body = "".join(
-        f"<tr><th>{cell(r)}</th>"
+        f"<tr><th>{_name(r)}</th>"
         + "".join(_count(counts[r, d, w], len(measured)) for d in daylights for w in weathers)
         + "</tr>"
         for r in config["recipes"]
@@ -247,6 +248,10 @@ def _count(count: int, total: int) -> str:
     return f"<td{shade if count else ''}>{count or '·'}</td>"
 
 
+def _name(text: str) -> str:
+    return escape(plain(text))
+
+
 def _asked_and_found(asked: dict[str, Any], found: Counter[str]) -> list[tuple[str, ...]]:
     weight = sum(a["share"] for a in asked.values())
     total = found.total()
@@ -265,7 +270,7 @@ def _cost(log: RunLog) -> str:
         return section("Cost", "<p>The set has no render.jsonl, so nothing is known.</p>")
     figures = {
         "Seconds per stage": charts.stage_seconds(log.stage_seconds()),
-        "Memory": charts.memory(_memory(log)),
+        "Memory of the process": charts.memory(_memory(log)),
     }
     note = f"From the log of {len(log.finished)} frames."
     if log.num_unreadable:
@@ -273,13 +278,13 @@ def _cost(log: RunLog) -> str:
     return section("Cost", f'<div class="wide">{_charts(figures)}</div>', note)
 
 
-def _memory(log: RunLog) -> dict[str, list[tuple[int, float]]]:
-    """(place in time, GB) for each process."""
-    points: dict[str, list[tuple[int, float]]] = {}
+def _memory(log: RunLog) -> list[list[tuple[int, float]]]:
+    """(place in time, GB) of each process's frames."""
+    points: dict[tuple[str, int], list[tuple[int, float]]] = {}
     for place, record in enumerate(log.finished, start=1):
-        name = f"process {record['pid']}"
-        points.setdefault(name, []).append((place, record["rss_bytes"] / 1e9))
-    return points
+        process = points.setdefault((record["host"], record["pid"]), [])
+        process.append((place, record["rss_bytes"] / 1e9))
+    return list(points.values())
 
 
 def _failures(manifest: Manifest) -> str:

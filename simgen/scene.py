@@ -177,7 +177,6 @@ def _texture(image: NDArray[np.uint8], metres: float = 1.0, wrap: str = "repeat"
     return {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
-        "format": "fp16",
         "wrap_mode": wrap,
         "to_uv": mi.ScalarTransform4f().scale([1 / metres, 1 / metres, 1.0]),
     }

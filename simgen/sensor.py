@@ -18,8 +18,8 @@ from simgen.color import luminance, srgb_from_linear
 Image = NDArray[np.float32]
 
 SENSORS = ("ideal", "camera")
-MIDDLE_GREY = 0.14
-WHITE = 12.0
+MIDDLE_GREY = 0.17
+WHITE = 8.0
 """exposed value that the tone curve takes to 1"""
 MAX_BRIGHT = 4.0
 """the brightest 1 % of the lower half may not be exposed above this"""

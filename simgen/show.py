@@ -35,6 +35,8 @@ _NUM_GUIDES = 9
 _OUTSIDE = (140, 140, 140)  # what no camera saw, in rectified images
 _INK = "#222222"
 
+_Corner = Literal["upper left", "upper right"]
+
 
 def save_picture(frame: Frame, pair: int, path: Path) -> Path:
     """Draws a frame as a PNG; UserError if the rig has no such pair or the file cannot be written.
@@ -151,24 +153,25 @@ class _Page:
 
 def _figure(frame: Frame, pair: int) -> Figure:
     left, right = frame.pairs[pair]
-    num_cameras, height, width = frame.image.shape[:3]
+    images = frame.image
+    num_cameras, height, width = images.shape[:3]
     rows = (_Row(num_cameras), _Row(3, _LEGEND), _Row(3, _LEGEND), _Row(2), _Row(2))
     page = _Page(rows, width / height)
-    _draw_header(page, frame, pair)
+    _draw_header(page, frame, pair, (width, height))
     for c in range(num_cameras):
         role = {left: ", left of the pair", right: ", right of the pair"}.get(c, "")
-        page.image(0, c, frame.read("image", c), f"Camera {c}{role}")
+        page.image(0, c, images[c], f"Camera {c}{role}")
     _draw_surfaces(page, frame, left)
     _draw_flow(page, frame, pair)
-    _draw_pair(page, 3, (frame.read("image", left), frame.read("image", right)), "as rendered")
+    _draw_pair(page, 3, (images[left], images[right]), "as rendered")
     _draw_pair(page, 4, rectified_pair(frame, pair), "rectified with the true poses")
     return page.figure
 
 
-def _draw_header(page: _Page, frame: Frame, pair: int) -> None:
+def _draw_header(page: _Page, frame: Frame, pair: int, wh: tuple[int, int]) -> None:
     spec, (left, right) = frame.spec, frame.pairs[pair]
+    weather = spec["weather"]["name"].replace("_", " ")
     T = frame.T_world_cam
-    height, width = frame.image.shape[1:3]
     baseline_m = np.linalg.norm(T[left, :3, 3] - T[right, :3, 3])
     angles = "   ".join(
         f"{c}: ({', '.join(f'{a:+.2f}' for a in frame.perturbation_deg[c])})" for c in range(len(T))
@@ -176,9 +179,9 @@ def _draw_header(page: _Page, frame: Frame, pair: int) -> None:
     page.text(_MARGIN, 20, f"Frame {int(frame.frame_index)}, pair {pair}", 19, weight="bold")
     page.text(
         _MARGIN, 56,
-        f"{spec['recipe']}, {spec['daylight']['name']}, {spec['weather']['name'].replace('_', ' ')}    "
+        f"{spec['recipe']}, {spec['daylight']['name']}, {weather}    "
         f"sun {spec['daylight']['sun_elevation_deg']:.1f}° high    "
-        f"{width} × {height} px    baseline {baseline_m:.2f} m    "
+        f"{wh[0]} × {wh[1]} px    baseline {baseline_m:.2f} m    "
         f"drawn rotation x, y, z [°] of camera {angles}", 12,
     )  # fmt: skip
 
@@ -307,7 +310,7 @@ def _legend(
     strip: Axes,
     patches: Sequence[Patch],
     num_columns: int,
-    loc: Literal["upper left", "upper right"],
+    loc: _Corner,
 ) -> None:
     strip.legend(
         handles=patches, loc=loc, ncols=num_columns, frameon=False, fontsize=10,

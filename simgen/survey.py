@@ -62,10 +62,10 @@ class Measured:
 def measure(frame: Frame) -> Measured:
     """Measures a frame on a grid of its pixels."""
     spec, pairs = frame.spec, range(len(frame.pairs))
-    stride = max(1, frame.image.shape[2] // _GRID_WIDTH)
+    images, depth = frame.image, frame.depth
+    stride = max(1, depth.shape[2] // _GRID_WIDTH)
     grid = (slice(None), slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-    depth = frame.depth[grid]
-    surfaces = depth[depth > 0]
+    surfaces = depth[grid][depth[grid] > 0]
     lengths = [np.linalg.norm(frame.flow(p)[grid[1:]], axis=-1) for p in pairs]
     return Measured(
         index=int(frame.frame_index),
@@ -79,7 +79,7 @@ def measure(frame: Frame) -> Measured:
         flow_longest_px=np.array([length.max() for length in lengths]),
         flow_counts=np.array([_histogram(length, FLOW_EDGES_PX) for length in lengths]),
         overlap=np.mean((frame.flow_status[grid] & VISIBLE) > 0, axis=(1, 2)),
-        brightness=frame.image[grid].mean(axis=(1, 2, 3)) / 255,
+        brightness=images[grid].mean(axis=(1, 2, 3)) / 255,
         label_counts=np.bincount(frame.semantic[grid].ravel(), minlength=256),
     )
 

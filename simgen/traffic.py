@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -11,29 +11,52 @@ from simgen.layout import Layout, Placed
 from simgen.markings import BAY_M
 from simgen.mesh import Model
 from simgen.roads import Lane, at_station, stations
+from simgen.vehicles import Vehicle
+
+UNIQUE_WITHIN_M = 45.0
+"""Nearer to the rig every vehicle is built for its place; farther ones are models seen again."""
+FLEET_SIZE = 14
+_NEVER_IN_BAYS = ("bus", "box_truck", "semi_trailer")
+
+
+class _Fleet:
+    """Vehicles of one stream: fresh ones for near places, a stock of models for far ones."""
+
+    def __init__(self, mix: Mapping[str, float], rng: np.random.Generator) -> None:
+        self.mix, self.rng = dict(mix), rng
+        self.stock: list[Vehicle] = []
+
+    def draw(self, near: bool) -> Vehicle:
+        """A vehicle for a place."""
+        if near or len(self.stock) < FLEET_SIZE:
+            family = vehicles.draw_family(rng=self.rng, mix=self.mix)
+            self.stock.append(vehicles.build(family, rng=self.rng))
+            return self.stock[-1]
+        return self.stock[self.rng.integers(FLEET_SIZE)]
 
 
 def moving(layout: Layout) -> Placed:
     """Vehicles in their lanes, with gaps of at least a second or so."""
     rng = layout.spec.stream("traffic")
+    fleet = _Fleet(layout.spec.families, rng)
     mean_gap = 1000.0 / max(layout.spec.moving_per_km, 0.1)
     for lane in layout.lanes:
         if lane.kind == "driving" and not lane.in_junction:
             for s in _arrivals(stations(lane.centre)[-1] - 9.0, mean_gap, 9.0, rng):
-                yield _vehicle(layout, lane, s, float(rng.normal(0, 0.15)), rng)
+                yield _vehicle(layout, lane, s, float(rng.normal(0, 0.15)), fleet)
 
 
 def parked(layout: Layout) -> Placed:
     """Vehicles in the bays of parking lanes."""
     rng = layout.spec.stream("parked")
-    cars = {k: v for k, v in layout.spec.families.items() if k not in ("bus", "box_truck",
-                                                                        "semi_trailer")}  # fmt: skip
+    small = {k: v for k, v in layout.spec.families.items() if k not in _NEVER_IN_BAYS}
+    fleet = _Fleet(small, rng)
     for lane in layout.lanes:
         if lane.kind == "parking" and not lane.in_junction:
             for s in np.arange(3.0 + BAY_M / 2, stations(lane.centre)[-1] - BAY_M, BAY_M):
                 if rng.random() < layout.spec.parked:
-                    shift = s + float(rng.normal(0, 0.25))
-                    yield _vehicle(layout, lane, shift, float(rng.normal(0, 0.08)), rng, cars)
+                    shift = float(s) + float(rng.normal(0, 0.25))
+                    yield _vehicle(layout, lane, shift, float(rng.normal(0, 0.08)), fleet)
 
 
 def _arrivals(
@@ -45,23 +68,15 @@ def _arrivals(
         s += min_gap + float(rng.exponential(mean_gap))
 
 
-def _vehicle(
-    layout: Layout,
-    lane: Lane,
-    s: float,
-    lateral: float,
-    rng: np.random.Generator,
-    mix: dict[str, float] | None = None,
-) -> Model:
+def _vehicle(layout: Layout, lane: Lane, s: float, lateral: float, fleet: _Fleet) -> Model:
     """A vehicle standing on its lane, tilted as the road is; nothing if the place is taken."""
     point, heading = at_station(lane.centre, s)
-    heading = float(heading) + float(rng.normal(0, 0.012))
+    heading = float(heading) + float(fleet.rng.normal(0, 0.012))
     along = np.array([np.cos(heading), np.sin(heading)])
     xy = point[:2] + lateral * np.array([-along[1], along[0]])
     if not layout.in_view(xy):
         return []
-    family = vehicles.draw_family(rng=rng, mix=mix or layout.spec.families)
-    vehicle = vehicles.build(family, rng=rng)
+    vehicle = fleet.draw(near=bool(np.linalg.norm(xy - layout.rig_xy) < UNIQUE_WITHIN_M))
     reach = vehicle.length / 2
     discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, 6)]
     if not layout.site.claim(discs):

@@ -108,9 +108,14 @@ def render_slowly(task: FrameTask) -> FrameResult:
     return render(task)
 
 
-def render_uneven(task: FrameTask) -> FrameResult:
-    """Even frames take longer, so that two workers finish them out of order."""
-    time.sleep(0.05 if task.index % 2 == 0 else 0.0)
+def render_first_last(task: FrameTask) -> FrameResult:
+    """Frame 0 waits for frame 3, so that two workers finish out of order."""
+    if task.index == 3:
+        (task.job.marks / "third").touch()
+    deadline = time.monotonic() + 30
+    while task.index == 0 and not (task.job.marks / "third").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
     return render(task)
 
 
