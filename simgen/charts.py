@@ -104,7 +104,7 @@ def stage_seconds(stages: Mapping[str, Array]) -> Figure:
         axes.barh([0, 1], width, left=left, color=color, height=0.62,
                   label=f"{stage} {np.mean(seconds):.2g} s")  # fmt: skip
         left += width
-    axes.set_yticks([0, 1], [f"median\n{left[0]:.1f} s", f"mean\n{left[1]:.1f} s"])
+    axes.set_yticks([0, 1], [f"medians\nsum {left[0]:.1f} s", f"means\nsum {left[1]:.1f} s"])
     axes.set_xlim(0, left.max())
     axes.grid(False, axis="y")
     _label(axes, "seconds per rig frame", "")

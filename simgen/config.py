@@ -46,7 +46,7 @@ class RenderOptions:
     """a rig of scenes/rigs/ (default, truck) or the path of a TOML file"""
     size: str = ""
     """image size WIDTHxHEIGHT [px]; the rig's native size if not given (default rig: 2560x1440)"""
-    spp: int = 4
+    spp: int = 2
     """path-traced samples per pixel, a power of two; more is slower and less noisy"""
     denoise: bool = True
     """whether Open Image Denoise cleans the irradiance"""

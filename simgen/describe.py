@@ -83,13 +83,16 @@ def _versions(spec: dict[str, Any]) -> str:
 
 
 def _config(config: dict[str, Any]) -> str:
-    """Plain values as they are; of the tables of recipes, daylight and weather the shares."""
+    """Plain values as they are; of the tables of recipes, daylight and weather the shares.
+
+    The rig's own size is left out: it is a default, and the set's size stands beside it.
+    """
     rows: list[tuple[str, str]] = []
     for name, value in config.items():
         if name in ("recipes", "daylight", "weather"):
             rows.append((name, ", ".join(f"{k} {v['share']:g}" for k, v in value.items())))
         elif name == "rig":
-            rows += [(f"rig.{k}", _plain(v)) for k, v in value.items()]
+            rows += [(f"rig.{k}", _plain(v)) for k, v in value.items() if k != "size"]
         else:
             rows.append((name, _plain(value)))
     return _titled("Configuration (in full in manifest.json)", _aligned(rows))

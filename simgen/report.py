@@ -256,7 +256,7 @@ def _asked_and_found(asked: dict[str, Any], found: Counter[str]) -> list[tuple[s
     weight = sum(a["share"] for a in asked.values())
     total = found.total()
     return [
-        (name, f"{100 * a['share'] / weight:.0f} %", str(found[name]),
+        (plain(name), f"{100 * a['share'] / weight:.0f} %", str(found[name]),
          f"{100 * found[name] / total:.0f} %")
         for name, a in asked.items()
     ]  # fmt: skip

@@ -312,12 +312,12 @@ def render_set(
     state = _State(folder, set_plan, manifest, attributes, compression)
     with _stoppable(), _full_disk_explained(folder.path):
         _restore(state, progress)
-        folder.clean(set(state.in_shards()))
-        finished = {i for i in set_plan.frames
-                    if i in state.in_shards() or stored_content(folder.frame_path(i))}  # fmt: skip
+        finished = set(state.in_shards())
+        folder.clean(finished)
+        finished |= {i for i in set_plan.frames if stored_content(folder.frame_path(i))}
         _assemble_complete(state, finished)
         todo = [i for i in set_plan.frames if i not in finished]
-        progress.started(len(finished), len(set_plan.frames))
+        progress.started(len(set_plan.frames) - len(todo), len(set_plan.frames))
         _render(job, todo, state, pool, finished, progress)
         _assemble_complete(state, finished, partial=True)
     return state.manifest

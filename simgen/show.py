@@ -306,12 +306,7 @@ def _patch(color: Any, label: str) -> Patch:
     return Patch(facecolor=face, edgecolor="#999999", linewidth=0.5, label=label)
 
 
-def _legend(
-    strip: Axes,
-    patches: Sequence[Patch],
-    num_columns: int,
-    loc: _Corner,
-) -> None:
+def _legend(strip: Axes, patches: Sequence[Patch], num_columns: int, loc: _Corner) -> None:
     strip.legend(
         handles=patches, loc=loc, ncols=num_columns, frameon=False, fontsize=10,
         labelcolor=_INK, handlelength=1.1, handleheight=1.1, handletextpad=0.4,

@@ -1,0 +1,204 @@
+"""The page and the words about a set: complete, true to the set, and in need of nothing else."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_set import HEIGHT_M, make_frame, write_set
+
+from simgen import charts, survey
+from simgen.describe import describe
+from simgen.errors import UserError
+from simgen.report import MAX_THUMBNAILS, write_report
+from simgen.run import LOG
+from simgen.schema import FIELDS, LABELS, VISIBLE
+from simgen.shards import Manifest, ShardSet
+
+FAILURE = {"frame_index": 4, "attempt": 2, "reasons": ["depth < 1 m", "no <b>sky</b>"], "seed": 0}
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and whether every tag is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("img", "meta", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    frames = [make_frame(i) for i in range(4)]
+    return write_set(tmp_path_factory.mktemp("set"), frames, failures=[FAILURE])
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path) -> str:
+    return write_report(folder, folder / "report.html").read_text(encoding="utf-8")
+
+
+# --- measuring -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hw", [(36, 64), (270, 480)])
+def test_measured_shares_are_those_of_all_pixels(tmp_path: Path, hw: tuple[int, int]) -> None:
+    drawn = make_frame(1, hw=hw)
+    m = survey.measure(ShardSet(write_set(tmp_path, [drawn])).frame(1))
+    visible = (drawn["flow_status"] & VISIBLE) > 0
+    np.testing.assert_allclose(m.overlap, visible.mean(axis=(1, 2)), atol=0.01)
+    np.testing.assert_allclose(m.brightness, drawn["image"].mean(axis=(1, 2, 3)) / 255, atol=0.01)
+    road = m.label_counts[LABELS["road"]] / m.label_counts.sum()
+    assert road == pytest.approx((drawn["depth"] > 0).mean(), abs=0.01)
+    assert m.depth_counts.sum() == m.label_counts[LABELS["road"]]
+    assert m.depth_range_m[0] == pytest.approx(HEIGHT_M, rel=0.1)  # 45° below the horizon
+
+
+def test_flow_is_measured_also_where_it_is_not_stored(tmp_path: Path) -> None:
+    drawn = [make_frame(1)]
+    stored, derived = (
+        survey.measure(ShardSet(write_set(tmp_path / str(flow), drawn, flow=flow)).frame(1))
+        for flow in (True, False)
+    )
+    np.testing.assert_array_equal(stored.flow_counts, derived.flow_counts)
+    assert stored.flow_counts.sum() == 3 * 36 * 64
+
+
+def test_the_log_keeps_the_last_record_of_a_frame_and_counts_broken_lines(folder: Path) -> None:
+    line = (folder / LOG).read_text().splitlines()[0]
+    again = line.replace('"time": 0.0', '"time": 99.0').replace('"path": 2.0', '"path": 7.0')
+    (folder / "copy").mkdir()
+    (folder / "copy" / LOG).write_text(f'{line}\n{again}\n{line[:20]}\n{{"worker_died": "x"}}\n')
+    log = survey.read_log(folder / "copy")
+    assert log.stage_seconds()["path"].tolist() == [7.0]
+    assert log.num_unreadable == 1
+
+
+# --- the page ------------------------------------------------------------------------------------
+
+
+def test_the_page_needs_no_other_file(text: str) -> None:
+    tags = Page(text).tags
+    assert not {tag for tag, _ in tags} & {"link", "script", "iframe", "object"}
+    places = [a[k] for _, a in tags for k in ("src", "href", "xlink:href") if k in a]
+    assert places
+    assert all(place and re.match(r"data:image/|#", place) for place in places)
+    assert "url(http" not in text
+    assert "@import" not in text
+
+
+def test_the_page_is_well_formed(text: str) -> None:
+    page = Page(text)
+    assert page.open == []
+    assert sum(tag == "svg" for tag, _ in page.tags) == 8
+
+
+def test_charts_refer_to_parts_of_their_own(text: str) -> None:
+    for svg in re.findall(r"<svg.*?</svg>", text, re.DOTALL):
+        references = set(re.findall(r'(?:url\(|href=")#([^")]+)', svg))
+        assert references <= set(re.findall(r'id="([^"]+)"', svg))
+
+
+def test_the_page_tells_files_and_failures(folder: Path, text: str) -> None:
+    for shard in Manifest.load(folder).shards:
+        assert shard.sha256 in text
+    assert "depth &lt; 1 m; no &lt;b&gt;sky&lt;/b&gt;" in text
+    assert "1 frames failed, 0 draws were replaced" in text
+    assert "4 rig frames (3 train, 1 test), 12 stereo pairs, 64x36 pixels" in text
+
+
+def test_the_same_set_gives_the_same_page(folder: Path, text: str) -> None:
+    again = write_report(folder, folder / "again.html").read_text(encoding="utf-8")
+    assert again == text
+
+
+def test_a_large_set_has_a_sample_of_its_frames_on_the_sheet(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simgen.report.MAX_THUMBNAILS", 3)
+    text = write_report(folder, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text.count("<img") == 3
+    assert "Camera 1 of 3 of 4 frames." in text
+    assert MAX_THUMBNAILS == 96
+
+
+def test_an_undisturbed_rig_can_be_reported(tmp_path: Path) -> None:
+    write_set(tmp_path, [make_frame(1, limit_deg=0.0)])
+    manifest = Manifest.load(tmp_path)
+    manifest.config["rig"]["perturbation_deg"] = 0.0
+    manifest.save(tmp_path)
+    (tmp_path / LOG).unlink()
+    text = write_report(tmp_path, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "The set has no render.jsonl" in text
+    assert ">uniform<" not in text
+
+
+def test_shares_of_a_histogram_add_up(folder: Path) -> None:
+    figure = charts.histogram(np.arange(4.0), {"a": [1, 2, 1]}, x="x", y="y")
+    (patch, _) = figure.axes[0].patches
+    assert patch.get_data().values.sum() == pytest.approx(1.0)
+
+
+def test_a_set_without_frames_is_refused(tmp_path: Path) -> None:
+    write_set(tmp_path, [])
+    with pytest.raises(UserError, match='no finished shard yet.*"simgen render"'):
+        write_report(tmp_path, tmp_path / "page.html")
+
+
+def test_a_place_that_cannot_be_written_is_refused(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=r"page\.html: cannot write the page .*--out"):
+        write_report(folder, tmp_path / "file" / "page.html")
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def test_every_field_is_described_with_its_shape(folder: Path) -> None:
+    text = describe(folder)
+    for name, field in FIELDS.items():
+        assert re.search(rf"^  {name} +n[\d,]* +{field.dtype} +{re.escape(field.meaning)}$", text,
+                         re.MULTILINE), name  # fmt: skip
+    assert re.search(r"^  flow +n,3,36,64,2 ", text, re.MULTILINE)
+
+
+def test_the_description_counts_frames_by_split_and_stratum(folder: Path) -> None:
+    text = describe(folder)
+    assert "train: 3 rig frames, 9 pairs" in text
+    assert "test: 1 rig frames, 3 pairs" in text
+    assert re.search(r"rural +noon +partly_cloudy +2$", text, re.MULTILINE)
+    assert "frame 4, attempt 2, failed: depth < 1 m; no <b>sky</b>" in text
+
+
+def test_the_reading_example_runs(folder: Path) -> None:
+    example = describe(folder).split("Reading it\n")[1]
+    names: dict[str, object] = {}
+    exec("\n".join(line.removeprefix("  ") for line in example.splitlines()), names)
+    assert np.shape(names["image"]) == (36, 64, 3)
+    assert np.shape(names["flow"]) == (36, 64, 2)
+
+
+def test_a_set_without_frames_is_described_as_such(tmp_path: Path) -> None:
+    text = describe(write_set(tmp_path, []))
+    assert "no finished shard yet" in text
+    assert "Reading it" not in text
+
+
+def test_a_folder_without_a_set_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"no manifest\.json here"):
+        describe(tmp_path)
