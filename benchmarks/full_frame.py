@@ -72,9 +72,10 @@ def main(options: Options) -> None:
             print(f"frame {index}: {frame['spec']['recipe']}, {seconds['total']:.1f} s", flush=True)
             rows.append(seconds)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"\n{platform.processor() or platform.machine()}, {dr.thread_count()} threads, "
-          f"{chosen.variant}, {options.size}, {options.spp} spp, peak memory {peak:.2f} GiB\n")  # fmt: skip
-    print(f"{'stage':20}" + "".join(f"{f'frame {i}':>10}" for i in range(len(rows))) + f"{'mean 1…':>10}")
+    machine = f"{platform.machine()}, {dr.thread_count()} threads, {chosen.variant}"
+    print(f"\n{machine}, {options.size}, {options.spp} spp, peak memory {peak:.2f} GiB\n")
+    titles = [f"frame {i}" for i in range(len(rows))] + ["mean 1…"]
+    print(f"{'stage':20}" + "".join(f"{title:>10}" for title in titles))
     for stage in rows[0]:
         values = [r.get(stage, 0.0) for r in rows]
         mean = np.mean(values[1:]) if len(values) > 1 else np.nan

@@ -134,7 +134,9 @@ def _clear_sky(sky: SkySpec) -> tuple[Image, Image]:
     return rgb, (_SUN_KLX * sun_transmittance(sky)).astype(np.float32)
 
 
-def _perez(name: str, turbidity: float, zenith_cos: Image, sun_cos: Image, sun_angle: float) -> Image:
+def _perez(
+    name: str, turbidity: float, zenith_cos: Image, sun_cos: Image, sun_angle: float
+) -> Image:
     """Sky over zenith value, F(θ, γ) / F(0, θ_sun)."""
     a, b, c, d, e = (slope * turbidity + offset for slope, offset in _PEREZ[name])
     gamma = np.arccos(np.clip(sun_cos, -1, 1))

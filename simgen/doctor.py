@@ -32,7 +32,7 @@ def diagnosis() -> str:
     lines.append(f"disk      {disk.free / 1e9:.1f} GB free in {Path.cwd()}")
     lines.append("packages  " + ", ".join(f"{p} {_version(p)}" for p in PACKAGES))
     advice = _advice(memory.available / 2**30, disk.free / 1e9)
-    lines.append("To do     " + ("\n          ".join(advice) if advice else "nothing: all is well."))
+    lines.append("To do     " + ("\n          ".join(advice) or "nothing: all is well."))
     return "\n".join(lines)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -92,7 +93,7 @@ def bands(T_world_rig: Array, optics: Optics) -> list[Band]:
     edges = 0.85 * optics.nearest_m * BAND_RATIO ** np.arange(NUM_BANDS)
     spread = np.tan(optics.hfov_rad / 2 + 0.05)
     boxes = []
-    for near, far in zip(edges[:-1], edges[1:], strict=True):
+    for near, far in pairwise(edges):
         half = far * spread + 2.0
         across = 2 * half / (2.0 * near / optics.focal_px)
         along = (far - near) / (4.0 * near / optics.focal_px)
@@ -163,8 +164,8 @@ def _cut(
     for name, surface in network.surfaces.items():
         rest = [surface]
         if name == "terrain":
-            rest = [clipped(surface, [(np.array([1.0, 0.0]), far_low[0], far_high[0]),
-                                      (np.array([0.0, 1.0]), far_low[1], far_high[1])])]  # fmt: skip
+            slabs = [(np.eye(2)[k], far_low[k], far_high[k]) for k in (0, 1)]
+            rest = [clipped(surface, slabs)]
         for piece, band in zip(pieces[:-1], all_bands[:-1], strict=True):
             origin = T_world_rig[:2, 3]
             limits = [
@@ -229,7 +230,8 @@ def _surface(vertices: Array, faces: list[NDArray[np.int64]]) -> Surface:
     """Only the vertices in use, without faces that have no area."""
     f = np.concatenate(faces)
     area = np.linalg.norm(
-        np.cross(vertices[f[:, 1]] - vertices[f[:, 0]], vertices[f[:, 2]] - vertices[f[:, 0]]), axis=1
+        np.cross(vertices[f[:, 1]] - vertices[f[:, 0]], vertices[f[:, 2]] - vertices[f[:, 0]]),
+        axis=1,
     )
     used, index = np.unique(f[area > 1e-9], return_inverse=True)
     return Surface(vertices[used], index.reshape(-1, 3))

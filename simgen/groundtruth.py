@@ -204,7 +204,9 @@ def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArr
     return _trace_wavefront(scene, origin, directions)
 
 
-def _trace_wavefront(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
+def _trace_wavefront(
+    scene: Scene, origin: Array, directions: NDArray[np.float32]
+) -> NDArray[np.int64]:
     # An opaque origin: as a literal it would be part of the kernel, and every frame would compile.
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin))
     # One array per axis: a stacked one is read with its length as a literal, and would compile, too.
@@ -220,7 +222,9 @@ def _trace_wavefront(scene: Scene, origin: Array, directions: NDArray[np.float32
     return np.where(shape == 0, NO_FACE, first_face[shape] + hit.prim_index.numpy())
 
 
-def _trace_scalar(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
+def _trace_scalar(
+    scene: Scene, origin: Array, directions: NDArray[np.float32]
+) -> NDArray[np.int64]:
     """One ray at a time: only scalar_rgb works so."""
     first_face = {s: int(f) for s, f in zip(scene.shapes, scene.first_face, strict=True)}
     point, intersect = mi.Point3f(*origin.tolist()), scene.mi_scene.ray_intersect_preliminary

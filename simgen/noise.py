@@ -16,7 +16,9 @@ Image = NDArray[np.float32]
 def hashed(ix: NDArray[np.int64], iy: NDArray[np.int64], seed: int) -> Image:
     """Uniform values in [−1, 1) of lattice points, from an integer hash (murmur3's mixer)."""
     with np.errstate(over="ignore"):
-        x = ix.astype(np.uint32) * np.uint32(0x9E3779B1) ^ iy.astype(np.uint32) * np.uint32(0x85EBCA77)
+        x = ix.astype(np.uint32) * np.uint32(0x9E3779B1) ^ iy.astype(np.uint32) * np.uint32(
+            0x85EBCA77
+        )
         x ^= np.uint32((seed * 0xC2B2AE3D) & 0xFFFFFFFF)
         for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
             x ^= x >> np.uint32(shift)

@@ -92,9 +92,7 @@ def make_frame(job: Job, index: int, attempt: int) -> tuple[dict[str, Any], dict
     with watch("develop"):
         exposure = sensor.meter(radiances)
         exposures = sensor.draw_exposures(job.sensor, exposure, len(radiances), rng=rng)
-        images = [
-            sensor.develop(r, e, rng=rng) for r, e in zip(radiances, exposures, strict=True)
-        ]
+        images = [sensor.develop(r, e, rng=rng) for r, e in zip(radiances, exposures, strict=True)]
     del radiances
     with watch("ground truth"):
         truth = _ground_truth(plan, job, loaded)
@@ -132,9 +130,7 @@ def radiance(
             loaded, camera, spp=job.spp, denoise=job.denoise, seed=seed
         )
         with watch("haze"):
-            images.append(
-                render.through_haze(image, features, haze, plan.spec.sky.visibility_m)
-            )
+            images.append(render.through_haze(image, features, haze, plan.spec.sky.visibility_m))
         for stage, spent in asdict(seconds).items():
             watch.seconds[stage] = watch.seconds.get(stage, 0.0) + spent
     return images
@@ -220,7 +216,6 @@ def versions() -> dict[str, str]:
     return {"simgen": __version__, **{p: version(p) for p in packages}}
 
 
-
 # --- in a worker ---------------------------------------------------------------------------------
 
 
@@ -239,7 +234,9 @@ def render_frame_file(task: FrameTask) -> FrameResult:
         findings = check_frame(frame, np.array(job.rig.pairs, dtype=np.uint8), thorough=False)
         failed = [f for f in findings if not f.passed]
     if failed:
-        raise FrameRejected([f"{f.check} {f.value:g} (limit {f.limit:g}) {f.where}" for f in failed])
+        raise FrameRejected(
+            [f"{f.check} {f.value:g} (limit {f.limit:g}) {f.where}" for f in failed]
+        )
     with watch("write"):
         write_frame(task.path, frame, pairs=job.rig.pairs, compression=job.compression)
     memory = psutil.Process()

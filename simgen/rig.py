@@ -122,7 +122,5 @@ def nominal_poses(rig: Rig, T_world_vehicle: Array, height_m: float) -> Array:
 
 def perturbed(T_world_cam_nominal: Array, perturbation_deg: NDArray[np.float64]) -> Array:
     """True poses (C, 4, 4) from nominal ones and rotation vectors (C, 3) in degrees."""
-    turned = [
-        transform(rotation_from_vector(np.deg2rad(a)), np.zeros(3)) for a in perturbation_deg
-    ]
+    turned = [transform(rotation_from_vector(np.deg2rad(a)), np.zeros(3)) for a in perturbation_deg]
     return T_world_cam_nominal @ np.stack(turned)

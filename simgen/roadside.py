@@ -22,9 +22,7 @@ def _kerbside(lane: Lane) -> float:
     return lane.width - 0.5 if lane.kind == "sidewalk" else -1.5
 
 
-def _stands(
-    layout: Layout, model: Model, xy: Array, heading: float, radius: float = 0.35
-) -> Model:
+def _stands(layout: Layout, model: Model, xy: Array, heading: float, radius: float = 0.35) -> Model:
     """The thing on the ground, if its place is free."""
     if not layout.site.claim([(*xy[:2], radius)]):
         return []

@@ -35,7 +35,9 @@ class Site:
         """z (N,) of the topmost ground at (N, 2); NaN outside the network's land."""
         return self._height(np.asarray(xy, dtype=np.float64).reshape(-1, 2))
 
-    def clear_of(self, xy: ArrayLike, *, road: float, pavement: float, buildings: float) -> NDArray[np.bool_]:
+    def clear_of(
+        self, xy: ArrayLike, *, road: float, pavement: float, buildings: float
+    ) -> NDArray[np.bool_]:
         """Which points (N, 2) keep these distances [m]; a negative one does not matter."""
         points = shapely.points(np.asarray(xy, dtype=np.float64).reshape(-1, 2))
         keep = np.ones(len(points), dtype=bool)

@@ -9,7 +9,14 @@ from simgen import ground, markings, roads
 from simgen.color import linear_from_srgb
 from simgen.ground import Optics, bands, split
 from simgen.noise import fractal
-from simgen.recipe import DaylightTable, WeatherTable, draw_scene, draw_sky, load_presets, load_recipe
+from simgen.recipe import (
+    DaylightTable,
+    WeatherTable,
+    draw_scene,
+    draw_sky,
+    load_presets,
+    load_recipe,
+)
 from simgen.roads import Surface
 from simgen.site import Site
 
