@@ -13,6 +13,8 @@ against the other. With the sun below the horizon both are undefined: night has 
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,8 @@ MIN_SUN_ELEVATION_DEG = 0.0
 MAX_AIR_MASS = 8.0
 """The model's haze would put a sun below 7° out; a real low sun still throws warm light."""
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32"""
 
 
 def directions(hw: tuple[int, int] = SKY_HW) -> Image:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -38,7 +39,8 @@ REST_HALF_M = 420.0
 
 _SEMANTIC = {"road": LABELS["road"], "sidewalk": LABELS["sidewalk"], "terrain": LABELS["terrain"]}
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32"""
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,14 @@ lattice, so that the ortho maps of a moving rig always show the same ground.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32"""
 
 
 def hashed(ix: NDArray[np.int64], iy: NDArray[np.int64], seed: int) -> Image:

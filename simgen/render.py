@@ -24,7 +24,8 @@ from simgen.daylight import transmittance
 from simgen.rig import Camera
 from simgen.scene import Scene
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32"""
 
 MAX_DEPTH = 4
 RR_DEPTH = 1

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simgen.color import luminance, srgb_from_linear
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32"""
 
 SENSORS = ("ideal", "camera")
 MIDDLE_GREY = 0.17
