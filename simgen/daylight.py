@@ -77,6 +77,23 @@ def environment(sky: SkySpec, *, rng: np.random.Generator) -> Image:
     return _with_ground(image)
 
 
+def seen_through(
+    environment_map: Image, K: Array, R_world_cam: Array, wh: tuple[int, int]
+) -> Image:
+    """The map at the pixel centres of a camera (H, W, 3), as if nothing stood in the way."""
+    u, v = np.meshgrid(np.arange(wh[0], dtype=np.float32), np.arange(wh[1], dtype=np.float32))
+    M = (R_world_cam @ np.linalg.inv(K)).astype(np.float32)
+    x, y, z = (m[0] * u + m[1] * v + m[2] for m in M)
+    h, w = environment_map.shape[:2]
+    column = (0.5 - np.arctan2(y, x) / np.float32(2 * np.pi)) * w - 0.5
+    row = np.arctan2(np.hypot(x, y), z) / np.float32(np.pi) * h - 0.5
+    seam = np.concatenate([environment_map, environment_map[:, :1]], axis=1)
+    seen: Image = cv2.remap(
+        seam, column % w, np.clip(row, 0, h - 1), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return seen
+
+
 def haze_radiance(environment_map: Image) -> Image:
     """Colour (3,) of distant haze: the mean of the sky just above the horizon, without the sun."""
     horizon = environment_map.shape[0] // 2

@@ -331,7 +331,9 @@ def _scattered(
 # --- painting a map ------------------------------------------------------------------------------
 
 # Linear colours; a map is a grey tone of full resolution times a colour of half resolution.
-_GRASS, _DRY, _SOIL = (0.060, 0.092, 0.026), (0.150, 0.135, 0.060), (0.120, 0.088, 0.058)
+_GRASS = np.array([0.060, 0.092, 0.026], np.float32)
+_DRY = np.array([0.150, 0.135, 0.060], np.float32)
+_SOIL = np.array([0.120, 0.088, 0.058], np.float32)
 _GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.235, 0.225, 0.210), (0.300, 0.290, 0.270)
 _ASPHALT = (1.0, 0.985, 0.955)
 
@@ -354,7 +356,7 @@ def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> NDArray[np
         (kerb, (1 + 0.12 * canvas.grain, _KERB)),
     ):
         tone += (layer_tone - tone) * share
-        color += (np.float32(layer_color) - color) * _half(share)[..., None]
+        color += (np.asarray(layer_color, np.float32) - color) * _half(share)[..., None]
     tone *= 1 - 0.6 * np.maximum(road, pavement) * canvas.mask(layers.seams, thin=0.01)
     canvas.cover(tone, color, layers.covers)
     canvas.draw_lines(tone, color, layers.paint, wear)
@@ -445,8 +447,8 @@ class _Canvas:
         broad, middle = _half(self.broad), _half(self.middle)
         dryness = np.clip(0.3 + 0.7 * broad + 0.25 * middle, 0, 1)[..., None]
         bare = np.clip(1.5 * (middle - broad) - 0.8, 0, 1)[..., None]
-        color = np.float32(_GRASS) + (np.float32(_DRY) - np.float32(_GRASS)) * dryness
-        return tone, color + (np.float32(_SOIL) - color) * bare
+        color = _GRASS + (_DRY - _GRASS) * dryness
+        return tone, color + (_SOIL - color) * bare
 
     def gravel(self) -> Layer:
         return np.clip(1 + 0.15 * self.middle + 0.35 * self.grain, 0.4, 1.8), _GRAVEL
@@ -470,7 +472,7 @@ class _Canvas:
         for rgb in sorted({p.color for p in paints}):
             share = self.mask([p.outline for p in paints if p.color == rgb], thin=1.0) * kept
             tone += (dirt - tone) * share
-            color += (np.float32(rgb) - color) * _half(share)[..., None]
+            color += (np.array(rgb, np.float32) - color) * _half(share)[..., None]
 
     def cover(self, tone: Image, color: Image, discs: Array) -> None:
         """Manhole covers: a dark rim and a cast lid."""

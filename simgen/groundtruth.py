@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -199,7 +200,7 @@ def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArr
     """The first face id (N,) along each ray from ``origin``, NO_FACE where none."""
     if len(directions) == 0:  # Dr.Jit aborts the process on an empty batch
         return np.empty(0, dtype=np.int64)
-    if mi.variant().startswith("scalar"):
+    if str(mi.variant()).startswith("scalar"):
         return _trace_scalar(scene, origin, directions)
     return _trace_wavefront(scene, origin, directions)
 
@@ -209,13 +210,14 @@ def _trace_wavefront(
 ) -> NDArray[np.int64]:
     # An opaque origin: as a literal it would be part of the kernel, and every frame would compile.
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin))
-    # One array per axis: a stacked one is read with its length as a literal, and would compile, too.
+    # One array per axis: a stacked one is read with its length as a literal, which compiles, too.
     axes = (mi.Float(np.ascontiguousarray(directions[:, k])) for k in range(3))
     ray = mi.Ray3f(point, mi.Vector3f(*axes))
     hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
-    registry_id = dr.reinterpret_array(mi.UInt32, hit.shape)
+    registry_id: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
     dr.eval(registry_id, hit.prim_index)
-    slot_ids = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)).numpy()[0] for s in scene.shapes]
+    pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in scene.shapes]
+    slot_ids = [p.numpy()[0] for p in pointers]
     first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int64)
     first_face[slot_ids] = scene.first_face
     shape = registry_id.numpy()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -38,10 +39,10 @@ class Layout:
         self.lights: list[Array] = []
         """(N, 3) world positions of lamps that burn at night"""
 
-    def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> int:
+    def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> Literal[0, 1, 2]:
         """Level of detail: 0 near the rig, 2 far away."""
         distance = float(np.linalg.norm(np.asarray(xy)[:2] - self.rig_xy))
-        return int(distance > near) + int(distance > far)
+        return 0 if distance <= near else 1 if distance <= far else 2
 
     def in_view(self, xy: Array) -> bool:
         """Whether something at ``xy`` can matter for an image."""

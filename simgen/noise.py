@@ -91,7 +91,7 @@ def _power_of_two(x: float) -> int:
 def _enlarged(
     image: Image, factors: tuple[int, ...], finer: tuple[int, ...], hw: tuple[int, int]
 ) -> Image:
-    """From a raster coarser than ``hw`` by ``factors`` (across, down) to one coarser by ``finer``."""
+    """From a raster ``factors`` (across, down) times coarser than ``hw`` to a finer one."""
     if image.size == 0:
         return np.zeros((-(-hw[0] // finer[1]), -(-hw[1] // finer[0])), dtype=np.float32)
     zoom = (factors[0] // finer[0], factors[1] // finer[1])

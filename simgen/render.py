@@ -20,7 +20,7 @@ import numpy as np
 import pyoidn
 from numpy.typing import NDArray
 
-from simgen.daylight import transmittance
+from simgen.daylight import seen_through, transmittance
 from simgen.rig import Camera
 from simgen.scene import Scene
 
@@ -69,7 +69,7 @@ def render(
     start = time.perf_counter()
     surfaces, noisy_albedo = _trace_paths(scene, sensor, spp, seed)
     traced = time.perf_counter()
-    features = _trace_features(scene, sensor, seed + 1)
+    features = _trace_features(scene, camera, sensor, seed + 1)
     measured = time.perf_counter()
     if denoise:
         irradiance = _denoised(surfaces / noisy_albedo, features)
@@ -109,7 +109,7 @@ def load_sensor(camera: Camera) -> Any:
             "principal_point_offset_y": float(0.5 - (K[1, 2] + 0.5) / h),
             "near_clip": 1e-3,  # Mitsuba measures distance from there
             "far_clip": 1e4,
-            "to_world": mi.ScalarTransform4f(to_world),
+            "to_world": mi.ScalarTransform4f(to_world.tolist()),
             "film": {
                 "type": "hdrfilm", "width": w, "height": h, "pixel_format": "rgba",
                 "component_format": "float32", "rfilter": {"type": "box"},
@@ -133,19 +133,20 @@ def _trace_paths(scene: Scene, sensor: Any, spp: int, seed: int) -> tuple[Image,
     return image[..., :3], np.maximum(_lifted(image[..., 4:7], image[..., 3]), 1e-4)
 
 
-def _trace_features(scene: Scene, sensor: Any, seed: int) -> Features:
+def _trace_features(scene: Scene, camera: Camera, sensor: Any, seed: int) -> Features:
     integrator = mi.load_dict(
         {
             "type": "aov",
             "aovs": "albedo:albedo,normal:sh_normal",
             "distance": {"type": "depth"},
-            "sky": {"type": "path", "max_depth": 1},
         }
     )
     image = _rendered(scene, integrator, sensor, FEATURE_SPP, seed)
-    distance, coverage, sky = image[..., 0], image[..., 3], image[..., 4:7]
-    albedo, normal = image[..., 8:11], image[..., 11:14]
+    distance, coverage = image[..., 0], image[..., 3]
+    albedo, normal = image[..., 4:7], image[..., 7:10]
     mean_distance = distance / np.maximum(coverage, 1e-6)
+    sky = seen_through(scene.sky, camera.K, camera.T_world_cam[:3, :3], camera.wh)
+    sky *= 1 - coverage[..., None]
     return Features(albedo, normal, mean_distance, coverage, sky)
 
 

@@ -109,7 +109,7 @@ def at_station(line: Array, s: Array | float) -> tuple[Array, Array]:
     t = stations(line)
     points = np.stack([np.interp(s, t, line[:, k]) for k in range(3)], axis=-1)
     headings = np.unwrap(line_headings(line))
-    return points, np.interp(s, t, headings)
+    return points, np.asarray(np.interp(s, t, headings))
 
 
 def line_headings(line: Array) -> Array:
@@ -225,8 +225,8 @@ def _lay(al: Any, road: RoadSpec, length: float, rng: np.random.Generator) -> No
 def _across(al: Any, length: float) -> Any:
     """A new alignment that starts ``length`` metres straight ahead of another's end, level."""
     x, y, z = al.point
-    start = (x + length * np.cos(al.heading), y + length * np.sin(al.heading), z)
-    return roadgen.Alignment(start=tuple(map(float, start)), heading=al.heading)
+    x, y = x + length * np.cos(al.heading), y + length * np.sin(al.heading)
+    return roadgen.Alignment(start=(float(x), float(y), float(z)), heading=al.heading)
 
 
 _MEDIAN, _PARKING, _SHOULDER, _SIDEWALK = "border", "parking", "shoulder", "sidewalk"

@@ -81,6 +81,8 @@ class Scene:
     first_face: NDArray[np.int64]
     """(num_slots,) face id of each slot's first face"""
     faces: FaceTable
+    sky: NDArray[np.float32]
+    """the environment map, see daylight.py"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +120,7 @@ def load(world: World, *, num_lamps: int) -> Scene:
         list(shapes.values()),
         np.cumsum([0, *counts[:-1]]),
         _face_table(slots, [(m[1], m[2]) for m in meshes]),
+        world.sky,
     )
 
 
@@ -217,7 +220,8 @@ def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
         params["vertex_texcoords"] = _attribute(slot.parts, "uv", 2).ravel()
     params.update()
     if not has_uv:
-        mesh.add_attribute("vertex_color", 3, _attribute(slot.parts, "color", 3).ravel())
+        colors: Any = _attribute(slot.parts, "color", 3).ravel()
+        mesh.add_attribute("vertex_color", 3, colors)
     return mesh, vertices, faces
 
 
@@ -278,7 +282,7 @@ def _planes(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray
 
 
 def _sky_dict(sky: NDArray[np.float32]) -> dict[str, Any]:
-    """An environment emitter, turned from Mitsuba's y-up, with its seam at −z, to daylight's map."""
+    """An environment emitter, turned from Mitsuba's y-up and seam to those of daylight.py."""
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(sky, dtype=np.float32)),

@@ -43,9 +43,7 @@ FIELDS: dict[str, Field] = {
         Field("K", ("C", 3, 3), "float64", "intrinsics [px], pixel-centre convention"),
         Field("T_world_cam", ("C", 4, 4), "float64", "true pose, camera to world"),
         Field("T_world_cam_nominal", ("C", 4, 4), "float64", "pose before the drawn rotation"),
-        Field(
-            "perturbation_deg", ("C", 3), "float64", "drawn rotation vector, nominal camera axes"
-        ),
+        Field("perturbation_deg", ("C", 3), "float64", "drawn rotation vector, nominal axes"),
         Field("frame_index", (), "int64", "i of the frame in the set"),
         Field("scene_index", (), "int64", "frames of one scene share it"),
         Field("spec", (), "json", "everything needed to render the frame again"),

@@ -99,7 +99,7 @@ class _Heights:
 
 
 def _plane_height(triangles: Array, xy: Array) -> Array:
-    """z (N,) of the planes of triangles (N, 3, 3) at (N, 2); their top corner if they stand upright."""
+    """z (N,) at (N, 2) of the planes of triangles (N, 3, 3); the top of upright ones."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     n = np.cross(b - a, c - a)
     upright = np.abs(n[:, 2]) < 1e-6 * np.linalg.norm(n, axis=1)

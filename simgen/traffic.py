@@ -70,8 +70,8 @@ def _arrivals(
 
 def _vehicle(layout: Layout, lane: Lane, s: float, lateral: float, fleet: _Fleet) -> Model:
     """A vehicle standing on its lane, tilted as the road is; nothing if the place is taken."""
-    point, heading = at_station(lane.centre, s)
-    heading = float(heading) + float(fleet.rng.normal(0, 0.012))
+    point, tangent = at_station(lane.centre, s)
+    heading = float(tangent) + float(fleet.rng.normal(0, 0.012))
     along = np.array([np.cos(heading), np.sin(heading)])
     xy = point[:2] + lateral * np.array([-along[1], along[0]])
     if not layout.in_view(xy):

@@ -85,9 +85,9 @@ def test_the_renderer_sees_the_map_where_directions_say():
     image = np.full((64, 128, 3), 0.01, np.float32)
     image[20, 37] = 100.0
     direction = directions((64, 128))[20, 37].astype(float)
-    sensor = {"type": "perspective", "fov": 40.0,
-              "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], direction.tolist(), [0, 0, 1]),
-              "film": {"type": "hdrfilm", "width": 33, "height": 33, "rfilter": {"type": "box"}}}  # fmt: skip
+    film = {"type": "hdrfilm", "width": 33, "height": 33, "rfilter": {"type": "box"}}
+    to_world = mi.ScalarTransform4f().look_at([0, 0, 0], direction.tolist(), [0, 0, 1])
+    sensor = {"type": "perspective", "fov": 40.0, "to_world": to_world, "film": film}
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "sensor": sensor,
                           "sky": _sky_dict(image)})  # fmt: skip
     seen = np.array(mi.render(scene, spp=16))[..., 0]

@@ -87,7 +87,7 @@ def test_uv_of_the_ground_leads_to_its_own_texel(built):
 
 def test_paint_is_where_the_marking_says(built):
     """A texel in the middle of a fresh stop line or zebra bar is bright, asphalt beside it dark."""
-    spec, _, site, paints, rings = built
+    _, _, site, paints, rings = built
     band, ring = bands(np.eye(4), OPTICS)[2], rings[2]
     linear = linear_from_srgb(ring.image[..., 1] / 255.0)
     centres = np.array([p.outline.mean(axis=0) for p in paints])

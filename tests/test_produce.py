@@ -111,9 +111,10 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     folder = SetFolder(tmp_path / "set")
     folder.path.mkdir()
     manifest = folder.open_manifest(job.content(), 16, 3)
-    attributes = {"schema_version": 1}
-    entry = assemble(folder.path / "test-00000.h5", [Source(waiting, 0, content)], attributes=attributes,
-                     split="test", compression="gzip")  # fmt: skip
+    entry = assemble(
+        folder.path / "test-00000.h5", [Source(waiting, 0, content)],
+        attributes={"schema_version": 1}, split="test", compression="gzip",
+    )  # fmt: skip
     replace(manifest, shards=[entry]).save(folder.path)
     assert plan(3, 3, frames_per_scene=1, frames_per_shard=16, split="all").frames == [0]
 

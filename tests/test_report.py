@@ -156,7 +156,7 @@ def test_shares_of_a_histogram_add_up(folder: Path) -> None:
 
 def test_a_set_without_frames_is_refused(tmp_path: Path) -> None:
     write_set(tmp_path, [])
-    with pytest.raises(UserError, match='no finished shard yet.*"simgen render"'):
+    with pytest.raises(UserError, match=r'no finished shard yet.*"simgen render"'):
         write_report(tmp_path, tmp_path / "page.html")
 
 
