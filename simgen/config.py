@@ -24,7 +24,7 @@ from simgen.recipe import (
 from simgen.rig import Rig
 from simgen.sensor import SENSORS
 
-MIN_SIZE, MAX_SIZE = (16, 16), (16384, 16384)
+MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
 MAX_PAIRS = 10_000_000
 
 

@@ -14,7 +14,7 @@ from simgen import run, session
 from simgen.errors import UserError
 from simgen.shards import ShardSet
 
-SMALL = ["--size", "64x48", "--variant", "scalar_rgb"]
+SMALL = ["--size", "96x54", "--variant", "scalar_rgb"]
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_render_says_what_it_will_do_does_it_and_says_what_came_of_it(
     assert cli.main(args) == 0
     said = capsys.readouterr().err
     assert "--n 4 is rounded up to 6 pairs: a rig frame has 3." in said
-    assert "2 rig frames, 6 pairs, 64x48, seed 0, scalar_rgb: about 1 min and " in said
+    assert "2 rig frames, 6 pairs, 96x54, seed 0, scalar_rgb: about 1 min and " in said
     assert "frame 1: 2 of 2, 6 pairs, " in said
     assert f"2 rig frames in 2 shards: {out}\n" in said
     assert [int(f.frame_index) for f in ShardSet(out)] == [0, 1]
@@ -110,7 +110,7 @@ def _fails(*_: object) -> None:
     (["--n", "-9"], "--n -9: expected a whole number from 1 on."),
     (["--n", "9", "--recipes", "moon"], "Recipe 'moon' is not known. Expected one of highway, "),
     (["--n", "9", "--size", "640"], "--size '640': expected WIDTHxHEIGHT in pixels"),
-    (["--n", "9", "--size", "4x4"], "--size 4x4: expected from 16x16 to 16384x16384 pixels."),
+    (["--n", "9", "--size", "4x4"], "--size 4x4: expected from 96x54 to 16384x16384 pixels."),
     (["--n", "9", "--weather", "hail"], "--weather hail: unknown; expected some of clear, "),
     (["--n", "9", "--daylight", "tea"], "--daylight tea: unknown; expected some of dawn, "),
     (["--n", "9", "--rig", "bike"], "--rig bike: expected one of default, truck, or the path"),

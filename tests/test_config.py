@@ -44,7 +44,7 @@ def test_the_defaults_are_those_of_the_readme():
 
 def test_a_job_is_the_inverse_of_its_content():
     job = _job(
-        seed=7, size="64x48", rig="truck", recipes="urban,rural", daylight="night", flow=False
+        seed=7, size="96x54", rig="truck", recipes="urban,rural", daylight="night", flow=False
     )
     assert Job.from_content(job.content()) == job
     assert Job.from_content(json.loads(json.dumps(job.content(), sort_keys=True))) == job
@@ -52,7 +52,7 @@ def test_a_job_is_the_inverse_of_its_content():
 
 def test_each_option_that_decides_pixels_changes_the_content():
     base = _job().content()
-    changes = {"seed": 1, "rig": "truck", "size": "64x48", "spp": 8, "denoise": False,
+    changes = {"seed": 1, "rig": "truck", "size": "96x54", "spp": 8, "denoise": False,
                "sensor": "ideal", "recipes": "urban", "weather": "clear", "daylight": "noon",
                "frames_per_scene": 2, "flow": False, "compression": "zstd"}  # fmt: skip
     for name, value in changes.items():
@@ -158,8 +158,8 @@ def test_a_rig_is_read_from_a_file(tmp_path):
     ({"size": "640"}, r"--size '640': expected WIDTHxHEIGHT in pixels, like 2560x1440"),
     ({"size": "640x"}, r"--size '640x': expected WIDTHxHEIGHT"),
     ({"size": "-640x360"}, r"--size '-640x360': expected WIDTHxHEIGHT"),
-    ({"size": "8x8"}, r"--size 8x8: expected from 16x16 to 16384x16384 pixels"),
-    ({"size": "99999x360"}, r"--size 99999x360: expected from 16x16 to 16384x16384 pixels"),
+    ({"size": "8x8"}, r"--size 8x8: expected from 96x54 to 16384x16384 pixels"),
+    ({"size": "99999x360"}, r"--size 99999x360: expected from 96x54 to 16384x16384 pixels"),
     ({"rig": "bike"}, r"--rig bike: expected one of default, truck, or the path of a TOML file"),
     ({"recipes": "moon"}, r"Recipe 'moon' is not known\. Expected one of highway, rural, suburban, "
                           r"urban, or the path"),

@@ -16,7 +16,7 @@ from simgen.produce import draw_spec, make_frame, plan_frame, render_frame_file,
 from simgen.run import FrameTask
 from simgen.store import content_sha256, stored_content, write_frame
 
-OPTIONS = RenderOptions(n=3, size="64x48", recipes="rural", daylight="noon", spp=1)
+OPTIONS = RenderOptions(n=3, size="96x54", recipes="rural", daylight="noon", spp=1)
 
 
 @pytest.fixture(scope="module")
