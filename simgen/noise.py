@@ -59,7 +59,7 @@ def fractal(
 ) -> Image:
     """A sum of octaves from ``wavelength`` down, each half as long and ``gain`` as strong.
 
-    Octaves under two pixels are left out: what a pixel cannot show would only alias. Long waves
+    Octaves fade out from four pixels to two: what a pixel cannot show would only alias. Long waves
     are made on coarse rasters and enlarged on the way to finer ones, so that all of them together
     cost little more than the finest one. (It also keeps OpenCV's warp, which steps by 1/32 of a
     lattice cell, from showing.)
@@ -70,14 +70,15 @@ def fractal(
     factors = (0, 0)
     for k in range(octaves):
         scale = wavelength / 2**k
-        if scale < 2.0 * pixel.min():
+        weight = np.clip(scale / (2.0 * pixel.max()) - 1.0, 0.0, 1.0) * gain**k
+        if weight == 0.0:
             break
         finer = tuple(_power_of_two(scale / (_CELL_PX * p)) for p in pixel)
         total = _enlarged(total, factors, finer, hw)
         factors = (finer[0], finer[1])
         coarser = np.array([[finer[0], 0, (finer[0] - 1) / 2], [0, finer[1], (finer[1] - 1) / 2],
                             [0, 0, 1]])  # fmt: skip
-        total += np.float32(gain**k) * octave(total.shape, A @ coarser, scale, seed + 101 * k)
+        total += np.float32(weight) * octave(total.shape, A @ coarser, scale, seed + 101 * k)
     return _enlarged(total, factors, (1, 1), hw)[: hw[0], : hw[1]]
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_ground import make_spec
 
 from simgen import roads
 from simgen.recipe import recipe_names
 from simgen.roads import at_station, offset_line, stations, strip
 from simgen.site import Site
-from tests.test_ground import make_spec
 
 
 @pytest.mark.parametrize("name", recipe_names())

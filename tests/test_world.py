@@ -1,0 +1,119 @@
+"""What is placed stands on the ground, apart from each other, and out of the cameras' way."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from test_ground import make_spec
+
+from simgen import world
+from simgen.ground import Optics
+from simgen.mesh import Part
+from simgen.recipe import recipe_names
+from simgen.scene import World
+from simgen.schema import LABELS
+from simgen.site import Site
+
+OPTICS = Optics(focal_px=48.0, hfov_rad=np.pi / 2, nearest_m=2.5)
+VEHICLES = {LABELS[n] for n in ("car", "truck", "bus", "motorcycle", "trailer")}
+
+
+@pytest.fixture(scope="module", params=recipe_names())
+def built(request: pytest.FixtureRequest) -> tuple[World, Site, world.Drive]:
+    spec = make_spec(request.param, 7)
+    drive = world.drive(spec, 0)
+    return world.build(spec, drive, OPTICS), Site(drive.network), drive
+
+
+def things(parts: list[Part], classes: set[int]) -> list[np.ndarray]:
+    """Vertices (N, 3) of each instance of the classes."""
+    vertices = defaultdict(list)
+    for p in parts:
+        if p.instance and p.semantic in classes:
+            vertices[p.instance].append(p.vertices)
+    return [np.concatenate(v) for v in vertices.values()]
+
+
+def test_all_numbers_are_finite_and_ids_fit(built):
+    parts = built[0].parts
+    assert all(np.isfinite(p.vertices).all() for p in parts)
+    assert all(p.faces.max() < len(p.vertices) for p in parts)
+    assert 1 <= max(p.instance for p in parts) < 65535
+
+
+def test_the_triangle_budget_holds(built):
+    assert sum(len(p.faces) for p in built[0].parts) < 1_500_000
+
+
+def test_vehicles_stand_on_their_wheels(built):
+    scene, site, _ = built
+    for vertices in things(scene.parts, VEHICLES):
+        lowest = vertices[vertices[:, 2] < vertices[:, 2].min() + 0.05]
+        ground = site.height(lowest[:, :2])
+        assert np.abs(lowest[:, 2] - ground).max() < 0.35  # a long one bridges a dip
+        assert np.abs(np.median(lowest[:, 2] - ground)) < 0.12
+
+
+def test_vehicles_do_not_touch_each_other(built):
+    """No roof centre of one lies inside the box of another."""
+    boxes = [(v[:, :2].min(axis=0), v[:, :2].max(axis=0)) for v in things(built[0].parts, VEHICLES)]
+    centres = np.array([(low + high) / 2 for low, high in boxes]).reshape(-1, 2)
+    for i, (low, high) in enumerate(boxes):
+        inside = ((centres > low) & (centres < high)).all(axis=1)
+        inside[i] = False
+        assert not inside.any()
+
+
+def test_nothing_stands_in_front_of_the_lens(built):
+    """A tube of 1.2 m around the first two metres before each camera holds no vertex."""
+    scene, _, drive = built
+    R, t = drive.T_world_vehicle[:3, :3], drive.T_world_vehicle[:3, 3]
+    for part in scene.parts:
+        x, y, z = ((part.vertices - t) @ R).T
+        blocked = (x > -0.5) & (x < 2.0) & (np.abs(y) < 1.2) & (z > 0.5) & (z < 2.2)
+        assert not blocked.any()
+
+
+def test_trees_grow_out_of_the_ground(built):
+    scene, site, _ = built
+    trunks = [p for p in scene.parts if p.material == "bark"]
+    for part in trunks[:40]:
+        foot = part.vertices[part.vertices[:, 2].argmin()]
+        assert -0.6 < foot[2] - site.height(foot[:2])[0] <= 0.05
+
+
+def test_no_horizon_is_empty(built):
+    """Land reaches the horizon: in every direction something lies beyond 2 km."""
+    scene, *_ = built
+    far = np.concatenate([p.vertices for p in scene.parts])
+    far = far[np.linalg.norm(far[:, :2], axis=1) > 2000]
+    azimuth = np.rad2deg(np.arctan2(far[:, 1], far[:, 0]))
+    assert len(np.unique(np.floor(azimuth / 5))) == 72
+
+
+def test_same_spec_same_world():
+    spec = make_spec("suburban", 9)
+    a, b = (world.build(spec, world.drive(spec, 0), OPTICS) for _ in range(2))
+    assert len(a.parts) == len(b.parts)
+    for p, q in zip(a.parts, b.parts, strict=True):
+        np.testing.assert_array_equal(p.vertices, q.vertices)
+    np.testing.assert_array_equal(a.sky, b.sky)
+
+
+def test_a_town_shows_many_classes():
+    spec = make_spec("urban", 11)
+    seen = {p.semantic for p in world.build(spec, world.drive(spec, 0), OPTICS).parts}
+    assert {LABELS[n] for n in ("building", "car", "vegetation", "pole", "terrain")} <= seen
+
+
+def test_lamps_burn_at_night_only():
+    from dataclasses import replace
+
+    spec = make_spec("urban", 7)
+    day = world.build(spec, world.drive(spec, 0), OPTICS)
+    dark = replace(spec, sky=replace(spec.sky, daylight="night", sun_elevation_deg=-12.0))
+    night = world.build(dark, world.drive(dark, 0), OPTICS)
+    assert not day.lamps
+    assert len(night.lamps) > 2
