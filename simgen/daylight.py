@@ -13,6 +13,7 @@ against the other. With the sun below the horizon both are undefined: night has 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -36,16 +37,17 @@ Image = NDArray[Any]
 """float32"""
 
 
+@lru_cache(maxsize=2)
 def directions(hw: tuple[int, int] = SKY_HW) -> Image:
-    """Unit world directions (H, W, 3) of the map's texels."""
+    """Unit world directions (H, W, 3) of the map's texels; read-only."""
     h, w = hw
     polar = (np.arange(h) + 0.5) / h * np.pi
     azimuth = (0.5 - (np.arange(w) + 0.5) / w) * 2 * np.pi
     sin = np.sin(polar)[:, None]
-    return np.stack(
-        [sin * np.cos(azimuth), sin * np.sin(azimuth), np.cos(polar)[:, None] + 0 * azimuth],
-        axis=-1,
-    ).astype(np.float32)
+    along = [sin * np.cos(azimuth), sin * np.sin(azimuth), np.cos(polar)[:, None] + 0 * azimuth]
+    unit = np.stack(along, axis=-1).astype(np.float32)
+    unit.flags.writeable = False
+    return unit
 
 
 def sun_direction(sky: SkySpec) -> Array:
@@ -193,7 +195,7 @@ def _clouds(sky: SkySpec, *, rng: np.random.Generator) -> tuple[Image, Image]:
     sheet = fractal((size, size), wavelength=size / 26, octaves=7, gain=0.55, seed=seed)
     uv = [((c + 17.0) * (size / 34.0)).astype(np.float32) for c in (x, y)]
     density = cv2.remap(sheet, uv[0], uv[1], cv2.INTER_LINEAR)
-    level = np.quantile(sheet, 1 - np.clip(sky.cloud_cover, 0.0, 1.0))
+    level = np.quantile(sheet[::4, ::4], 1 - np.clip(sky.cloud_cover, 0.0, 1.0))
     spread = float(sheet.std())
     soft = 0.35 if sky.cloud_cover < 0.9 else 1.5
     cover = np.clip((density - level) / (soft * spread) + (sky.cloud_cover >= 0.9), 0, 1)

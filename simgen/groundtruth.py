@@ -31,7 +31,7 @@ from simgen.schema import AT_INFINITY, GLASS, LABELS, OCCLUDED, OUT_OF_FRAME, VI
 NO_FACE = -1
 SAME_SURFACE_REL = 1e-4
 """Two hits along one ray are one surface if their inverse depths differ by less than this share."""
-_ROWS = 48
+_ROWS = 32
 """Rows per block: small enough for the cache of a core."""
 
 
@@ -40,7 +40,7 @@ class View:
     """What one camera sees at its pixel centres."""
 
     camera: Camera
-    face: NDArray[np.int64]
+    face: NDArray[np.int32]
     """(H, W) face id, NO_FACE where no surface"""
     inverse_depth: Array
     """(H, W) 1/z [1/m], 0 where no surface"""
@@ -53,25 +53,22 @@ def look(scene: Scene, camera: Camera) -> View:
     w, h = camera.wh
     coeffs = _inverse_depth_coeffs(scene.faces, camera)
     rays = _rays_from_pixels(camera)
-    face = np.empty((h, w), dtype=np.int64)
-    inverse_depth = np.empty((h, w))
     u = np.arange(w, dtype=np.float64)
-
-    directions = np.empty((h, w, 3), dtype=np.float32)
+    directions = np.empty((3, h, w), dtype=np.float32)
+    inverse_depth = np.empty((h, w))
 
     def aim(rows: slice) -> None:
         v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
-        directions[rows] = u[None, :, None] * rays[:, 0] + v[..., None] * rays[:, 1] + rays[:, 2]
+        _direct(directions, rows, rays, u, v)
+
+    _over_rows(aim, h)
+    face = trace(scene, camera.centre, directions.reshape(3, -1)).reshape(h, w)
 
     def measure(rows: slice) -> None:
         v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
-        abc = np.take(coeffs, face[rows], axis=0, mode="wrap")
-        value = abc[..., 0] * u + abc[..., 1] * v + abc[..., 2]
-        inverse_depth[rows] = np.where(face[rows] == NO_FACE, 0.0, value)
+        seen = _affine(coeffs, face[rows], u, v)
+        inverse_depth[rows] = np.where(face[rows] == NO_FACE, 0.0, seen)
 
-    _over_rows(aim, h)
-    hit = trace(scene, camera.centre, directions.reshape(-1, 3))
-    face[:] = hit.reshape(h, w)
     _over_rows(measure, h)
     return View(camera, face, inverse_depth, coeffs)
 
@@ -97,19 +94,34 @@ def flow_status(scene: Scene, source: View, target: View) -> NDArray[np.uint8]:
     w, h = source.camera.wh
     T_target_source = target.camera.T_cam_world @ inverse(source.camera.T_cam_world)
     projection = _Projection(source.camera, target.camera, T_target_source)
-    uv = np.empty((h, w, 2))
-    target_inverse_depth = np.empty((h, w))
+    rays = _rays_from_pixels(target.camera)
+    uv = np.empty((2, h, w))
+    own_inverse_depth = np.empty((h, w))
+    in_frame = np.empty((h, w), dtype=bool)
+    directions = np.empty((3, h, w), dtype=np.float32)
 
-    def reproject(rows: slice) -> None:
-        uv[rows], target_inverse_depth[rows] = projection(rows, source.inverse_depth[rows])
+    def aim(rows: slice) -> None:
+        u, v, own = projection(rows, source.inverse_depth[rows])
+        inside = _in_frame(u, v, own, target.camera.wh)
+        uv[0, rows], uv[1, rows] = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
+        own_inverse_depth[rows], in_frame[rows] = own, inside
+        _direct(directions, rows, rays, uv[0, rows], uv[1, rows])
 
-    _over_rows(reproject, h)
-    in_frame = _in_frame(uv, target_inverse_depth, target.camera.wh)
-    status = np.full((h, w), OUT_OF_FRAME, dtype=np.uint8)
-    seen = _sees(scene, target, uv[in_frame], source.face[in_frame], target_inverse_depth[in_frame])
-    status[in_frame] = np.where(seen, VISIBLE, OCCLUDED)
-    status[source.face == NO_FACE] += AT_INFINITY
-    status[np.append(scene.faces.glass, False)[source.face]] += GLASS
+    _over_rows(aim, h)
+    hit = trace(scene, target.camera.centre, directions.reshape(3, -1)).reshape(h, w)
+    status = np.empty((h, w), dtype=np.uint8)
+    glass = np.append(scene.faces.glass, False)
+
+    def judge(rows: slice) -> None:
+        own, first = source.face[rows], hit[rows]
+        reached = _affine(target.face_coeffs, first, uv[0, rows], uv[1, rows])
+        no_nearer = reached <= own_inverse_depth[rows] * (1 + SAME_SURFACE_REL)
+        seen = (first == own) | (first == NO_FACE) | no_nearer  # the sky's inverse depth is 0
+        visibility = np.where(seen, VISIBLE, OCCLUDED)
+        surface = AT_INFINITY * (own == NO_FACE) + GLASS * glass[own]
+        status[rows] = np.where(in_frame[rows], visibility, OUT_OF_FRAME) + surface
+
+    _over_rows(judge, h)
     return status
 
 
@@ -118,26 +130,16 @@ def flow(source_depth: NDArray[np.float32], left: Camera, right: Camera) -> NDAr
     return flow_from_depth(source_depth, left.K, right.K, right.T_cam_world @ left.T_world_cam)
 
 
-def _sees(scene: Scene, target: View, uv: Array, own_face: NDArray[np.int64],
-          own_inverse_depth: Array) -> NDArray[np.bool_]:  # fmt: skip
-    """Whether the target camera's ray through ``uv`` (N, 2) first meets the points it aims at."""
-    rays = _rays_from_pixels(target.camera)
-    directions = np.empty((len(uv), 3), dtype=np.float32)
-    hit_inverse_depth = np.empty(len(uv))
+def _direct(directions: NDArray[np.float32], rows: slice, rays: Array, u: Array, v: Array) -> None:
+    """Fills ``rows`` of world directions (3, H, W) towards pixels (u, v)."""
+    for k in range(3):
+        directions[k, rows] = rays[k, 0] * u + (rays[k, 1] * v + rays[k, 2])
 
-    def aim(rows: slice) -> None:
-        directions[rows] = uv[rows, :1] * rays[:, 0] + uv[rows, 1:] * rays[:, 1] + rays[:, 2]
 
-    _over_rows(aim, len(uv), block=1 << 16)
-    hit = trace(scene, target.camera.centre, directions)
-
-    def measure(rows: slice) -> None:
-        abc = np.take(target.face_coeffs, hit[rows], axis=0, mode="wrap")
-        hit_inverse_depth[rows] = abc[:, 0] * uv[rows, 0] + abc[:, 1] * uv[rows, 1] + abc[:, 2]
-
-    _over_rows(measure, len(uv), block=1 << 16)
-    same_place = hit_inverse_depth <= own_inverse_depth * (1 + SAME_SURFACE_REL)
-    return (hit == own_face) | (hit == NO_FACE) | same_place  # the sky's inverse depth is 0
+def _affine(coeffs: Array, face: NDArray[np.int32], u: Array, v: Array) -> Array:
+    """Inverse depth at (u, v) of the planes of ``face``; of the last one where NO_FACE."""
+    a, b, c = (np.take(coeffs[:, k], face, mode="wrap") for k in range(3))
+    return a * u + (b * v + c)
 
 
 class _Projection:
@@ -151,19 +153,19 @@ class _Projection:
         self.e = target.K @ T_target_source[:3, 3]
         self.u = np.arange(source.wh[0], dtype=np.float64)
 
-    def __call__(self, rows: slice, inverse_depth: Array) -> tuple[Array, Array]:
+    def __call__(self, rows: slice, inverse_depth: Array) -> tuple[Array, Array, Array]:
+        """Target u, v and inverse depth of rows of pixels; negative behind the target."""
         v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
         x, y, s = (
             h[0] * self.u + (h[1] * v + h[2]) + e * inverse_depth
             for h, e in zip(self.H, self.e, strict=True)
         )
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.stack([x / s, y / s], axis=-1), np.where(s > 0, inverse_depth / s, -1.0)
+            return x / s, y / s, np.where(s > 0, inverse_depth / s, -1.0)
 
 
-def _in_frame(uv: Array, inverse_depth: Array, wh: tuple[int, int]) -> NDArray[np.bool_]:
+def _in_frame(u: Array, v: Array, inverse_depth: Array, wh: tuple[int, int]) -> NDArray[np.bool_]:
     w, h = wh
-    u, v = uv[..., 0], uv[..., 1]
     ahead = inverse_depth >= 0
     return ahead & (u >= -0.5) & (u < w - 0.5) & (v >= -0.5) & (v < h - 0.5)
 
@@ -183,7 +185,7 @@ def _inverse_depth_coeffs(faces: FaceTable, camera: Camera) -> Array:
     offset = d - normal @ camera.centre
     with np.errstate(divide="ignore", invalid="ignore"):
         coeffs = (normal @ _rays_from_pixels(camera)) / offset[:, None]
-    return np.where(offset[:, None] == 0, 0.0, coeffs)
+    return np.asfortranarray(np.where(offset[:, None] == 0, 0.0, coeffs))
 
 
 def _over_rows(work: Callable[[slice], None], num: int, block: int = _ROWS) -> None:
@@ -196,10 +198,10 @@ def _over_rows(work: Callable[[slice], None], num: int, block: int = _ROWS) -> N
 # --- tracing: the only part that depends on the variant ----------------------------------------
 
 
-def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The first face id (N,) along each ray from ``origin``, NO_FACE where none."""
-    if len(directions) == 0:  # Dr.Jit aborts the process on an empty batch
-        return np.empty(0, dtype=np.int64)
+def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int32]:
+    """The first face id (N,) along rays (3, N) from ``origin``, NO_FACE where none."""
+    if directions.size == 0:  # Dr.Jit aborts the process on an empty batch
+        return np.empty(0, dtype=np.int32)
     if str(mi.variant()).startswith("scalar"):
         return _trace_scalar(scene, origin, directions)
     return _trace_wavefront(scene, origin, directions)
@@ -207,18 +209,18 @@ def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArr
 
 def _trace_wavefront(
     scene: Scene, origin: Array, directions: NDArray[np.float32]
-) -> NDArray[np.int64]:
+) -> NDArray[np.int32]:
     # An opaque origin: as a literal it would be part of the kernel, and every frame would compile.
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin))
     # One array per axis: a stacked one is read with its length as a literal, which compiles, too.
-    axes = (mi.Float(np.ascontiguousarray(directions[:, k])) for k in range(3))
+    axes = (mi.Float(np.ascontiguousarray(d)) for d in directions)
     ray = mi.Ray3f(point, mi.Vector3f(*axes))
     hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
     registry_id: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
     dr.eval(registry_id, hit.prim_index)
     pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in scene.shapes]
     slot_ids = [p.numpy()[0] for p in pointers]
-    first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int64)
+    first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int32)
     first_face[slot_ids] = scene.first_face
     shape = registry_id.numpy()
     return np.where(shape == 0, NO_FACE, first_face[shape] + hit.prim_index.numpy())
@@ -226,12 +228,12 @@ def _trace_wavefront(
 
 def _trace_scalar(
     scene: Scene, origin: Array, directions: NDArray[np.float32]
-) -> NDArray[np.int64]:
+) -> NDArray[np.int32]:
     """One ray at a time: only scalar_rgb works so."""
     first_face = {s: int(f) for s, f in zip(scene.shapes, scene.first_face, strict=True)}
     point, intersect = mi.Point3f(*origin.tolist()), scene.mi_scene.ray_intersect_preliminary
-    faces = np.full(len(directions), NO_FACE, dtype=np.int64)
-    for i, direction in enumerate(directions.tolist()):
+    faces = np.full(directions.shape[1], NO_FACE, dtype=np.int32)
+    for i, direction in enumerate(directions.T.tolist()):
         hit = intersect(mi.Ray3f(point, mi.Vector3f(direction)), True)
         if hit.is_valid():
             faces[i] = first_face[hit.shape] + hit.prim_index

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -18,6 +19,7 @@ import cv2
 import drjit as dr
 import numpy as np
 import psutil
+from numpy.typing import NDArray
 
 from simgen import __version__, daylight, groundtruth, render, scene, sensor, world
 from simgen.checks import check_frame
@@ -88,16 +90,13 @@ def make_frame(job: Job, index: int, attempt: int) -> tuple[dict[str, Any], dict
         plan = plan_frame(job, index, attempt)
     loaded, sky = load(plan, job, watch)
     radiances = radiance(plan, job, loaded, sky, watch)
-    rng = stream(job.seed, index, attempt, "sensor")
     with watch("develop"):
-        exposure = sensor.meter(radiances)
-        exposures = sensor.draw_exposures(job.sensor, exposure, len(radiances), rng=rng)
-        images = [sensor.develop(r, e, rng=rng) for r, e in zip(radiances, exposures, strict=True)]
+        images, exposures = _develop(plan, job, radiances)
     del radiances
     with watch("ground truth"):
         truth = _ground_truth(plan, job, loaded)
     frame = {
-        "image": np.stack(images),
+        "image": images,
         **truth,
         **_cameras(plan),
         "frame_index": np.int64(plan.index),
@@ -123,17 +122,38 @@ def radiance(
 ) -> list[render.Image]:
     """Linear radiance (H, W, 3) of every camera, haze included."""
     haze = daylight.haze_radiance(sky)
-    images = []
+    visibility_m = plan.spec.sky.visibility_m
+    clear = []
     for number, camera in enumerate(plan.posed.cameras):
         seed = int(stream(job.seed, plan.index, plan.attempt, f"paths {number}").integers(1 << 31))
         image, features, seconds = render.render(
             loaded, camera, spp=job.spp, denoise=job.denoise, seed=seed
         )
-        with watch("haze"):
-            images.append(render.through_haze(image, features, haze, plan.spec.sky.visibility_m))
+        clear.append((image, features))
         for stage, spent in asdict(seconds).items():
             watch.seconds[stage] = watch.seconds.get(stage, 0.0) + spent
-    return images
+    with watch("haze"), ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda c: render.through_haze(c[0], c[1], haze, visibility_m), clear))
+
+
+def _develop(
+    plan: FramePlan, job: Job, radiances: list[render.Image]
+) -> tuple[NDArray[np.uint8], list[sensor.Exposure]]:
+    """Images (C, H, W, 3) of a rig that exposes together; each camera has noise of its own."""
+    exposure = sensor.meter(radiances)
+    draws = stream(job.seed, plan.index, plan.attempt, "sensor")
+    exposures = sensor.draw_exposures(job.sensor, exposure, len(radiances), rng=draws)
+    with ThreadPoolExecutor() as pool:
+        images = pool.map(
+            lambda c: sensor.develop(radiances[c], exposures[c], rng=noise_stream(plan, job, c)),
+            range(len(radiances)),
+        )
+        return np.stack(list(images)), exposures
+
+
+def noise_stream(plan: FramePlan, job: Job, camera: int) -> np.random.Generator:
+    """The generator of one camera's noise."""
+    return stream(job.seed, plan.index, plan.attempt, f"noise {camera}")
 
 
 def free_memory() -> None:

@@ -130,7 +130,7 @@ def test_no_ray_slips_through_the_edges_of_a_closed_surface():
     for _ in range(4):
         eye = rng.uniform(-5, 5, 3)
         onto_edges = a + rng.random((len(a), 1)) * (b - a) - eye
-        seen = gt.trace(scene, eye, onto_edges.astype(np.float32))
+        seen = gt.trace(scene, eye, onto_edges.astype(np.float32).T)
         assert (seen == gt.NO_FACE).sum() == 0
 
 

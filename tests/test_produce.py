@@ -12,7 +12,14 @@ import pytest
 from simgen import engine, export
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
-from simgen.produce import draw_spec, make_frame, plan_frame, render_frame_file, scene_of
+from simgen.produce import (
+    draw_spec,
+    make_frame,
+    noise_stream,
+    plan_frame,
+    render_frame_file,
+    scene_of,
+)
 from simgen.run import FrameTask
 from simgen.store import content_sha256, stored_content, write_frame
 
@@ -101,7 +108,6 @@ def test_recipes_are_drawn_by_their_shares(job):
 def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     """What the EXR files hold is what the shard holds, and their radiance develops to its image."""
     from simgen import sensor
-    from simgen.recipe import stream
     from simgen.run import SetFolder, plan
     from simgen.shards import ShardSet
     from simgen.store import Source, assemble
@@ -121,8 +127,7 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     monkeypatch.setattr(export.engine, "activate", lambda chosen: None)
     paths = export.export_frame(folder.path, 0, tmp_path / "out")
     frame = ShardSet(folder.path)[0]
-    rng = stream(job.seed, 0, 0, "sensor")
-    sensor.draw_exposures(job.sensor, 1.0, 3, rng=rng)
+    frame_plan = plan_frame(job, 0, 0)
     for c in range(3):
         exr = export.read_exr(tmp_path / "out" / f"camera-{c}.exr")
         np.testing.assert_array_equal(exr["depth.Z"], frame.depth[c])
@@ -130,7 +135,8 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
         np.testing.assert_array_equal(exr["id.semantic"], frame.semantic[c])
         radiance = np.stack([exr[k] for k in "RGB"], axis=-1)
         exposure = sensor.Exposure(**frame.spec["exposure"][c])
-        np.testing.assert_array_equal(sensor.develop(radiance, exposure, rng=rng), frame.image[c])
+        noise = noise_stream(frame_plan, job, c)
+        np.testing.assert_array_equal(sensor.develop(radiance, exposure, rng=noise), frame.image[c])
     pair = export.read_exr(tmp_path / "out" / "pair-0-2.exr")
     np.testing.assert_array_equal(np.stack([pair["flow.u"], pair["flow.v"]], -1), frame.flow(2))
     np.testing.assert_array_equal(pair["status.reverse"], frame.flow_status_reverse[2])
