@@ -69,14 +69,17 @@ def environment(sky: SkySpec, *, rng: np.random.Generator) -> Image:
     ambient = clear[: SKY_HW[0] // 2].mean(axis=(0, 1))
     cover, thickness = _clouds(sky, rng=rng)
     towards_sun = np.clip(directions() @ sun_direction(sky).astype(np.float32), 0, 1)
-    lit = ambient + sun_irradiance / np.pi * 0.55 * (0.35 + 0.65 * towards_sun[..., None] ** 6)
+    lit = ambient + np.float32(0.55 / np.pi) * sun_irradiance * (
+        0.35 + 0.65 * towards_sun[..., None] ** 6
+    )
     grey = luminance(ambient + 0.25 * sun_irradiance / np.pi)
     shade = thickness[..., None]
-    cloud = lit * (1 - shade) + shade * grey * np.array([0.62, 0.66, 0.72], dtype=np.float32)
+    dark = np.float32(grey) * np.array([0.62, 0.66, 0.72], dtype=np.float32)
+    cloud = lit * (1 - shade) + shade * dark
     dimmed = 1.0 - 0.85 * max(0.0, sky.cloud_cover - 0.6) / 0.4
     image = clear * (1 - cover[..., None]) + cover[..., None] * cloud
     _paint_sun(image, sky, sun_irradiance * dimmed * (1 - _cover_at_sun(cover, sky)))
-    return _with_ground(image)
+    return _with_ground(image).astype(np.float32)
 
 
 def seen_through(
@@ -200,7 +203,8 @@ def _clouds(sky: SkySpec, *, rng: np.random.Generator) -> tuple[Image, Image]:
     soft = 0.35 if sky.cloud_cover < 0.9 else 1.5
     cover = np.clip((density - level) / (soft * spread) + (sky.cloud_cover >= 0.9), 0, 1)
     thickness = np.clip((density - level) / (2.2 * spread), 0, 1)
-    return cover * (d[..., 2] > -0.02), thickness
+    cover *= d[..., 2] > -0.02
+    return cover.astype(np.float32), thickness.astype(np.float32)
 
 
 def _cover_at_sun(cover: Image, sky: SkySpec) -> float:

@@ -91,7 +91,7 @@ def flow_colors(flow: NDArray[np.float32], rim_px: float) -> Rgb:
     share = (place - below)[..., None]
     color = (1 - share) * wheel[below] + share * wheel[(below + 1) % len(wheel)]
     inside = 255 - length.clip(max=1) * (255 - color)
-    return np.where(length <= 1, inside, 0.75 * color).astype(np.uint8)
+    return np.where(length <= 1, inside, 0.75 * color).round().astype(np.uint8)
 
 
 def _flow_wheel() -> NDArray[np.float64]:

@@ -138,10 +138,12 @@ def _inner(x: int, y: int, width: int, height: int, margin: int = 2) -> Rect:
 
 def _weathered(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Uneven fading, and streaks of dirt that rain drew down the sheet."""
-    fading = cv2.resize(rng.uniform(0.86, 1.0, (24, 24)), image.shape[:2])
-    streaks = cv2.resize(rng.uniform(0.93, 1.0, (16, 512)), image.shape[:2])
-    gain = (fading * streaks).astype(np.float32)
-    return (image * gain[..., None]).astype(np.uint8)
+    fading = rng.uniform(220, 255, (24, 24)).astype(np.uint8)
+    streaks = rng.uniform(244, 255, (16, 384)).astype(np.uint8)
+    for stain in (fading, streaks):
+        gain = cv2.resize(stain, image.shape[:2])
+        image = cv2.multiply(image, cv2.merge([gain] * 3), scale=1 / 255)
+    return image
 
 
 class _Plate:
@@ -165,7 +167,7 @@ class _Plate:
         """From one colour at the top to another at the bottom."""
         w, h = self._image.size
         rows = np.linspace(top, bottom, h).astype(np.uint8)
-        self._image.paste(Image.fromarray(rows[:, None]).resize((w, h)))
+        self._image.paste(Image.fromarray(np.repeat(rows[:, None], w, axis=1)))
 
     def polygon(self, points: ArrayLike, color: Color) -> None:
         """A filled polygon (N, 2)."""
@@ -195,7 +197,7 @@ class _Plate:
         self.polygon([p[-1], neck + 1.5 * width * across, neck - 1.5 * width * across], color)
 
     def text(self, string: str, x: float, y: float, height: float, color: Color, *,
-             room: float = 99.0, bold: float = 0.035, anchor: str = "mm") -> None:  # fmt: skip
+             room: float = 99.0, bold: float = 0.02, anchor: str = "mm") -> None:  # fmt: skip
         """A line of text, made smaller where it is wider than ``room``."""
         size = height * self._unit
         size *= min(1.0, room * self._unit / max(_font(round(size)).getlength(string), 1.0))
@@ -246,18 +248,18 @@ def _shelves(
 def _limit(plate: _Plate, rng: np.random.Generator, *, value: int, ground: Color) -> None:
     plate.fill(RED)
     plate.disc(0.5, 0.5, 0.385, ground)
-    plate.text(str(value), 0.5, 0.5, 0.5, BLACK, room=0.6, bold=0.05)
+    plate.text(str(value), 0.5, 0.5, 0.5, BLACK, room=0.6, bold=0.03)
 
 
 def _stop(plate: _Plate, rng: np.random.Generator) -> None:
     plate.fill(WHITE)
     plate.polygon(_scaled("octagon", 0.94), RED)
-    plate.text("STOP", 0.5, 0.5, 0.38, WHITE, room=0.78, bold=0.045)
+    plate.text("STOP", 0.5, 0.5, 0.38, WHITE, room=0.78, bold=0.03)
 
 
 def _yield(plate: _Plate, rng: np.random.Generator) -> None:
     plate.fill(RED)
-    plate.polygon([(0.2, 0.12), (0.8, 0.12), (0.5, 0.73)], WHITE)
+    plate.polygon([(0.17, 0.113), (0.83, 0.113), (0.5, 0.773)], WHITE)
 
 
 def _no_entry(plate: _Plate, rng: np.random.Generator) -> None:
@@ -315,7 +317,7 @@ def _chevron(plate: _Plate, rng: np.random.Generator) -> None:
 def _danger(plate: _Plate, ground: Color) -> None:
     """The red triangle that the pictogram goes on."""
     plate.fill(RED)
-    plate.polygon([(0.5, 0.25), (0.81, 0.89), (0.19, 0.89)], ground)
+    plate.polygon([(0.5, 0.227), (0.83, 0.887), (0.17, 0.887)], ground)
 
 
 def _curve(plate: _Plate, rng: np.random.Generator, *, ground: Color) -> None:
@@ -389,8 +391,8 @@ def _board(plate: _Plate, rng: np.random.Generator, *, ground: Color) -> None:
     """Places with distances or lane arrows, and the number of the road."""
     _bordered(plate, ground, WHITE)
     distances = rng.random() < 0.5
-    num = int(rng.integers(2, 4))
-    floor = 0.95 if distances else 0.72
+    num = int(rng.integers(2, 4)) if distances else 2
+    floor = 0.95 if distances else 0.7
     for i in range(num):
         y = 0.26 + (floor - 0.26) * (i + 0.5) / num
         plate.text(_place(rng), 0.14, y, 0.21, WHITE, room=1.2, anchor="lm")
@@ -410,10 +412,10 @@ def _board(plate: _Plate, rng: np.random.Generator, *, ground: Color) -> None:
 
 # --- shops and posters ---------------------------------------------------------------------------
 
-_SHOPS = ("BAKERY", "Café Mira", "Pharmacy", "BOOKS & MORE", "Hair Studio", "FLOWERS", "Optik Lund",
+_SHOPS = ("BAKERY", "Cafe Mira", "Pharmacy", "BOOKS & MORE", "Hair Studio", "FLOWERS", "Optik Lund",
           "Pizzeria Roma", "SUPERMARKET", "Shoes", "Bank", "Kiosk", "JEWELLER", "Bike Works",
           "Noodle Bar", "TOYS", "Fashion House", "Butcher & Son", "Hotel Astra", "Dentist",
-          "PHONE REPAIR", "Wine Cellar", "Kebab", "Laundry", "ELECTRO", "Garden Café")  # fmt: skip
+          "PHONE REPAIR", "Wine Cellar", "Kebab", "Laundry", "ELECTRO", "Garden Cafe")  # fmt: skip
 _SLOGANS = (("FRESH", "every morning"), ("DRIVE", "the new one"), ("-50 %", "until Sunday"),
             ("ESCAPE", "flights from 49"), ("COLA", "ice cold"), ("HOME", "move in now"),
             ("5G", "everywhere"), ("LIVE", "city arena, 21 May"), ("TASTE", "the summer"),
@@ -464,14 +466,14 @@ def _billboard(plate: _Plate, rng: np.random.Generator, *, slogan: tuple[str, st
     plate.polygon([(0, 0.75 - slope), (2, 0.75 + slope), (2, 1), (0, 1)], ground)
     right = rng.random() < 0.5
     _product(plate, 1.6 if right else 0.4, rng)
-    x, ink = (0.68 if right else 1.32), _ink(top)
-    plate.text(slogan[0], x, 0.35, 0.42, ink, room=1.15, bold=0.05)
+    x, ink = (0.68 if right else 1.32), _ink(_color(np.mean([top, bottom], axis=0)))
+    plate.text(slogan[0], x, 0.35, 0.42, ink, room=1.15, bold=0.035)
     plate.text(slogan[1], x, 0.68, 0.15, ink, room=1.15)
     plate.text(_place(rng).lower() + ".example", x, 0.92, 0.09, _ink(ground), bold=0.0)
 
 
 def _product(plate: _Plate, x: float, rng: np.random.Generator) -> None:
-    """A bottle, a box or a can, with a label."""
+    """A bottle with a label."""
     body, label = _vivid(rng), _vivid(rng)
     half, top = rng.uniform(0.12, 0.24), rng.uniform(0.2, 0.4)
     plate.box(x - half / 2.5, top - 0.14, x + half / 2.5, 0.6, label, r=0.03)

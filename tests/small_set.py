@@ -15,9 +15,9 @@ from simgen.run import LOG, split_of
 from simgen.schema import AT_INFINITY, LABELS, OUT_OF_FRAME, SCHEMA_VERSION, VISIBLE
 from simgen.session import CONVENTIONS, UNITS
 from simgen.shards import Manifest
-from simgen.store import assemble, write_frame
+from simgen.store import Source, assemble, write_frame
 
-HW = (36, 64)
+HW = (54, 96)
 PAIRS = ((0, 1), (1, 2), (0, 2))
 HEIGHT_M = 1.5
 R_WORLD_FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -81,12 +81,14 @@ def write_set(
 ) -> Path:
     """Writes frames as a finished set; ``changes`` replace entries of the manifest."""
     folder.mkdir(parents=True, exist_ok=True)
-    options = RenderOptions(out=folder, n=3 * len(frames), size=f"{HW[1]}x{HW[0]}", flow=flow)
+    options = RenderOptions(
+        out=folder, n=3 * max(1, len(frames)), size=f"{HW[1]}x{HW[0]}", flow=flow
+    )
     config = resolve(options, "llvm_ad_rgb").content()
     shards = []
     for split in ("train", "test"):
         chosen = [f for f in frames if split_of(int(f["scene_index"])) == split]
-        sources = [(_written(folder, f, flow), 0) for f in chosen]
+        sources = [_written(folder, f, flow) for f in chosen]
         if sources:
             shards.append(assemble(
                 folder / f"{split}-00000.h5", sources, split=split, compression="gzip",
@@ -99,11 +101,10 @@ def write_set(
     return folder
 
 
-def _written(folder: Path, frame: dict[str, Any], flow: bool) -> Path:
+def _written(folder: Path, frame: dict[str, Any], flow: bool) -> Source:
     path = folder / f"one-{int(frame['frame_index'])}.h5"
     kept = {k: v for k, v in frame.items() if flow or k != "flow"}
-    write_frame(path, kept, pairs=PAIRS, compression="gzip")
-    return path
+    return Source(path, 0, write_frame(path, kept, pairs=PAIRS, compression="gzip"))
 
 
 def _log_line(index: int) -> str:

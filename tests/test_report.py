@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_set import HEIGHT_M, make_frame, write_set
+from matplotlib.patches import StepPatch
+from small_set import HEIGHT_M, HW, make_frame, write_set
 
-from simgen import charts, survey
+from simgen import survey
 from simgen.describe import describe
 from simgen.errors import UserError
-from simgen.report import MAX_THUMBNAILS, write_report
+from simgen.report import _angles, _contact_sheet, _cost, write_report
 from simgen.run import LOG
 from simgen.schema import FIELDS, LABELS, VISIBLE
 from simgen.shards import Manifest, ShardSet
@@ -56,7 +58,7 @@ def text(folder: Path) -> str:
 # --- measuring -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("hw", [(36, 64), (270, 480)])
+@pytest.mark.parametrize("hw", [HW, (270, 480)])
 def test_measured_shares_are_those_of_all_pixels(tmp_path: Path, hw: tuple[int, int]) -> None:
     drawn = make_frame(1, hw=hw)
     m = survey.measure(ShardSet(write_set(tmp_path, [drawn])).frame(1))
@@ -66,7 +68,7 @@ def test_measured_shares_are_those_of_all_pixels(tmp_path: Path, hw: tuple[int, 
     road = m.label_counts[LABELS["road"]] / m.label_counts.sum()
     assert road == pytest.approx((drawn["depth"] > 0).mean(), abs=0.01)
     assert m.depth_counts.sum() == m.label_counts[LABELS["road"]]
-    assert m.depth_range_m[0] == pytest.approx(HEIGHT_M, rel=0.1)  # 45° below the horizon
+    assert m.depth_range_m[0] == pytest.approx(HEIGHT_M * 16 / 9, rel=0.05)
 
 
 def test_flow_is_measured_also_where_it_is_not_stored(tmp_path: Path) -> None:
@@ -76,7 +78,7 @@ def test_flow_is_measured_also_where_it_is_not_stored(tmp_path: Path) -> None:
         for flow in (True, False)
     )
     np.testing.assert_array_equal(stored.flow_counts, derived.flow_counts)
-    assert stored.flow_counts.sum() == 3 * 36 * 64
+    assert stored.flow_counts.sum() == 3 * HW[0] * HW[1]
 
 
 def test_the_log_keeps_the_last_record_of_a_frame_and_counts_broken_lines(folder: Path) -> None:
@@ -119,7 +121,7 @@ def test_the_page_tells_files_and_failures(folder: Path, text: str) -> None:
         assert shard.sha256 in text
     assert "depth &lt; 1 m; no &lt;b&gt;sky&lt;/b&gt;" in text
     assert "1 frames failed, 0 draws were replaced" in text
-    assert "4 rig frames (3 train, 1 test), 12 stereo pairs, 64x36 pixels" in text
+    assert "4 rig frames (3 train, 1 test), 12 stereo pairs, 96x54 pixels" in text
 
 
 def test_the_same_set_gives_the_same_page(folder: Path, text: str) -> None:
@@ -128,30 +130,29 @@ def test_the_same_set_gives_the_same_page(folder: Path, text: str) -> None:
 
 
 def test_a_large_set_has_a_sample_of_its_frames_on_the_sheet(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    frames = ShardSet(folder)
     monkeypatch.setattr("simgen.report.MAX_THUMBNAILS", 3)
-    text = write_report(folder, tmp_path / "page.html").read_text(encoding="utf-8")
-    assert text.count("<img") == 3
-    assert "Camera 1 of 3 of 4 frames." in text
-    assert MAX_THUMBNAILS == 96
+    sheet = _contact_sheet(frames, [survey.measure(frame) for frame in frames])
+    assert re.findall(r'alt="frame (\d)"', sheet) == ["0", "2", "3"]
+    assert "Camera 1 of 3 of 4 frames." in sheet
 
 
-def test_an_undisturbed_rig_can_be_reported(tmp_path: Path) -> None:
-    write_set(tmp_path, [make_frame(1, limit_deg=0.0)])
-    manifest = Manifest.load(tmp_path)
-    manifest.config["rig"]["perturbation_deg"] = 0.0
-    manifest.save(tmp_path)
-    (tmp_path / LOG).unlink()
-    text = write_report(tmp_path, tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "The set has no render.jsonl" in text
-    assert ">uniform<" not in text
+@pytest.mark.parametrize("limit_deg", [0.0, 1.0])
+def test_drawn_angles_are_all_counted(folder: Path, limit_deg: float) -> None:
+    """Also those of a rig without a perturbation, where all are 0 and none is expected."""
+    drawn = [
+        replace(survey.measure(f), perturbation_deg=np.zeros((3, 3))) for f in ShardSet(folder)
+    ]
+    (axes,) = _angles(drawn, limit_deg).axes
+    outlines = [patch.get_data().values for patch in axes.patches if isinstance(patch, StepPatch)]
+    assert [values.sum() for values in outlines] == pytest.approx([1.0, 1.0, 1.0])
+    assert ("uniform" in [text.get_text() for text in axes.get_legend().texts]) == (limit_deg > 0)
 
 
-def test_shares_of_a_histogram_add_up(folder: Path) -> None:
-    figure = charts.histogram(np.arange(4.0), {"a": [1, 2, 1]}, x="x", y="y")
-    (patch, _) = figure.axes[0].patches
-    assert patch.get_data().values.sum() == pytest.approx(1.0)
+def test_a_set_without_its_log_says_so(tmp_path: Path) -> None:
+    assert "The set has no render.jsonl" in _cost(survey.read_log(tmp_path))
 
 
 def test_a_set_without_frames_is_refused(tmp_path: Path) -> None:
@@ -174,7 +175,7 @@ def test_every_field_is_described_with_its_shape(folder: Path) -> None:
     for name, field in FIELDS.items():
         assert re.search(rf"^  {name} +n[\d,]* +{field.dtype} +{re.escape(field.meaning)}$", text,
                          re.MULTILINE), name  # fmt: skip
-    assert re.search(r"^  flow +n,3,36,64,2 ", text, re.MULTILINE)
+    assert re.search(r"^  flow +n,3,54,96,2 ", text, re.MULTILINE)
 
 
 def test_the_description_counts_frames_by_split_and_stratum(folder: Path) -> None:
@@ -189,8 +190,8 @@ def test_the_reading_example_runs(folder: Path) -> None:
     example = describe(folder).split("Reading it\n")[1]
     names: dict[str, object] = {}
     exec("\n".join(line.removeprefix("  ") for line in example.splitlines()), names)
-    assert np.shape(names["image"]) == (36, 64, 3)
-    assert np.shape(names["flow"]) == (36, 64, 2)
+    assert np.shape(names["image"]) == (*HW, 3)
+    assert np.shape(names["flow"]) == (*HW, 2)
 
 
 def test_a_set_without_frames_is_described_as_such(tmp_path: Path) -> None:

@@ -58,12 +58,12 @@ def test_rectified_images_are_aligned_to_a_fraction_of_a_pixel(tmp_path: Path) -
         K = drawn["K"][camera]
         rays = np.concatenate([pixel_grid(HW), np.ones((*HW, 1))], -1) @ np.linalg.inv(K).T
         row = project(K, rays @ R.T)[..., 1]
-        drawn["image"][camera] = np.clip(5 * row + 30, 0, 255).round()[..., None]
+        drawn["image"][camera] = np.clip(4 * row + 20, 0, 255).round()[..., None]
     frame = ShardSet(write_set(tmp_path, [drawn])).frame(1)
     for image in show.rectified_pair(frame, 2):
         inner = image[4:-4, 8:-8].astype(float)
-        expected = 5 * np.arange(HW[0])[4:-4, None, None] + 30
-        assert np.abs(inner - expected).max() <= 1.0  # a fifth of a pixel
+        expected = 4 * np.arange(HW[0])[4:-4, None, None] + 20
+        assert np.abs(inner - expected).max() <= 1.0  # a quarter of a pixel
 
 
 def test_the_flow_pulls_the_right_image_onto_the_left_one() -> None:
