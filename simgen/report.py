@@ -9,7 +9,8 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,8 @@ def write_report(folder: Path, path: Path) -> Path:
             f"{folder}: no finished shard yet, so there is nothing to report on. Let "
             '"simgen render" go on, with the same command.'
         )
+    with _writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     measured = [measure(frame) for frame in frames]
     sections = (
         _heading(frames, measured),
@@ -52,14 +55,15 @@ def write_report(folder: Path, path: Path) -> Path:
         _files(frames.manifest),
     )
     frames.close()
-    _write(path, page(folder.resolve().name, sections))
+    with _writing(path):
+        write_atomically(path, page(folder.resolve().name, sections).encode())
     return path
 
 
-def _write(path: Path, text: str) -> None:
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
+        yield
     except OSError as error:
         raise UserError(
             f"{path}: cannot write the page ({error.strerror}). Choose another place with --out."
@@ -130,12 +134,10 @@ def _stacked(measured: Sequence[Measured], get: Callable[[Measured], Array]) -> 
 
 
 def _contact_sheet(frames: ShardSet, measured: Sequence[Measured]) -> str:
-    chosen = np.unique(
-        np.linspace(0, len(measured) - 1, min(MAX_THUMBNAILS, len(measured))).round()
-    )
+    chosen = np.linspace(0, len(measured) - 1, min(MAX_THUMBNAILS, len(measured)), dtype=int)
     camera = len(measured[0].brightness) // 2
     cells = []
-    for m in (measured[int(k)] for k in chosen):
+    for m in (measured[k] for k in chosen):
         source = _data_uri(_thumbnail(frames.frame(m.index).read("image", camera)))
         near, far = m.depth_range_m
         cells.append(

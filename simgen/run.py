@@ -36,6 +36,8 @@ FRAMES_DIR = ".frames"
 LOCK = ".lock"
 LOG = "render.jsonl"
 MAX_ATTEMPTS = 3
+POLL_S = 0.25
+"""How often a run looks up from waiting, to see whether it was told to stop."""
 TEST_EVERY = 10
 """A scene whose number is divisible by this is a test scene."""
 
@@ -310,7 +312,7 @@ def render_set(
     """
     progress = progress or Progress()
     state = _State(folder, set_plan, manifest, attributes, compression)
-    with _stoppable(), _full_disk_explained(folder.path):
+    with _StopSignals() as stop, _full_disk_explained(folder.path):
         _restore(state, progress)
         finished = set(state.in_shards())
         folder.clean(finished)
@@ -318,7 +320,7 @@ def render_set(
         _assemble_complete(state, finished)
         todo = [i for i in set_plan.frames if i not in finished]
         progress.started(len(set_plan.frames) - len(todo), len(set_plan.frames))
-        _render(job, todo, state, pool, finished, progress)
+        _render(job, todo, state, pool, finished, progress, stop)
         _assemble_complete(state, finished, partial=True)
     return state.manifest
 
@@ -359,7 +361,13 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
 
 
 def _render(
-    job: Any, todo: Sequence[int], state: _State, pool: Pool, finished: set[int], progress: Progress
+    job: Any,
+    todo: Sequence[int],
+    state: _State,
+    pool: Pool,
+    finished: set[int],
+    progress: Progress,
+    stop: _StopSignals,
 ) -> None:
     queue = list(reversed(todo))
     running: dict[Any, FrameTask] = {}
@@ -373,13 +381,16 @@ def _render(
                 task = FrameTask(job, index, state.attempts.get(index, 0),
                                  state.folder.frame_path(index))  # fmt: skip
                 running[processes.schedule(_work, args=[pool, task])] = task
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            done = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED).done
+            stop.obey()
+            for future in done:
                 task = running.pop(future)
                 if _settle(future, task, state, progress):
                     finished.add(task.index)
                 elif task.index not in state.failed():
                     queue.append(task.index)
-            _assemble_complete(state, finished)
+            if done:
+                _assemble_complete(state, finished)
     finally:
         processes.stop()
         processes.join()
@@ -519,18 +530,36 @@ def _die_with_parent() -> None:
         libc.prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Turns SIGTERM into SystemExit(143) for the time of rendering."""
+class _StopSignals:
+    """Takes Ctrl-C and SIGTERM while a set is rendered, to be obeyed between two steps.
 
-    def stop(signum: int, frame: object) -> None:
-        raise SystemExit(128 + signum)
+    An exception that a handler raises can hit any line, also one that holds a lock of the pool,
+    which then never ends. A second Ctrl-C is not taken.
+    """
 
-    previous = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    def __init__(self) -> None:
+        self.received = 0
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> _StopSignals:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._previous[number] = signal.signal(number, self._take)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _take(self, number: int, frame: object) -> None:
+        self.received = number
+        signal.signal(number, self._previous[number])
+
+    def obey(self) -> None:
+        """Raises KeyboardInterrupt or SystemExit(143) if a signal came."""
+        if self.received == signal.SIGINT:
+            raise KeyboardInterrupt
+        if self.received:
+            raise SystemExit(128 + self.received)
 
 
 # --- the disk ------------------------------------------------------------------------------------
