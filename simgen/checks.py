@@ -24,10 +24,10 @@ Arrays = Mapping[str, Any]
 NUM_TEXTURED_MIN = 500  # fewer textured pixels say nothing about a shift
 NEED_FLOW = ("flow", "vertical_flow")
 NEED_TEXTURE = ("photometric_shift", "photometric_offset", "photometric_match")
-SHARES = ("visible_depth", "occluded_depth", "instance", "semantic")
-# Narrower images get proportionally wider limits, photometric and of shares: the pixels next to an
-# end point then belong to other leaves, windows and wheels.
-FULL_ACCURACY_WIDTH = 320
+FULL_ACCURACY_WIDTH = 320  # narrower images get proportionally wider photometric limits
+# So do shares of pixels below these widths: the pixels next to an end point then belong to other
+# leaves, windows and wheels.
+FULL_WIDTH = {"visible_depth": 160, "occluded_depth": 160, "instance": 320, "semantic": 320}
 
 
 def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding]:
@@ -187,10 +187,16 @@ def _check_status(d: twoview.Direction) -> list[Finding]:
 def _check_geometry(d: twoview.Direction, *, thorough: bool) -> list[Finding]:
     values = twoview.measure(d, thorough=thorough)
     wrong = values.pop("out_of_frame")
-    scale = max(1.0, FULL_ACCURACY_WIDTH / d.status.shape[1])
+    width = d.status.shape[1]
     findings = [judge("out_of_frame", wrong.max(initial=0), d.where, f"{wrong.size} pixels")]
     return findings + [
-        judge(n, v, d.where, _spread(v), limit=CHECKS[n].limit * (scale if n in SHARES else 1.0))
+        judge(
+            n,
+            v,
+            d.where,
+            _spread(v),
+            limit=CHECKS[n].limit * max(1.0, FULL_WIDTH.get(n, 1) / width),
+        )
         for n, v in values.items()
     ]
 
