@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 VEGETATION, TERRAIN = LABELS["vegetation"], LABELS["terrain"]
-TREE_TRIANGLES = (14000, 4200, 875)  # at most, by level of detail
+TREE_TRIANGLES = (10000, 4000, 1400)  # at most, by level of detail
 SHRUB_TRIANGLES = (2400, 700, 140)
 HEDGE_TRIANGLES_PER_M2 = (260, 70, 14)
 
