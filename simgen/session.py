@@ -36,11 +36,11 @@ CONVENTIONS = (
 
 # Compressed bytes per pixel, and seconds, as measured in benchmarks/ with the default options on
 # two cores of an x86-64 server: the estimate before a set has timings of its own.
-_BYTES_PER_CAMERA_PIXEL = 3.6
-_BYTES_PER_PAIR_PIXEL = 4.0
-_SECONDS_FIXED = 5.0
-_SECONDS_PER_CAMERA_MEGAPIXEL = 1.6
-_SECONDS_PER_MEGASAMPLE = 1.4
+_BYTES_PER_CAMERA_PIXEL = 4.4
+_BYTES_PER_PAIR_PIXEL = 4.3
+_SECONDS_FIXED = 7.0
+_SECONDS_PER_CAMERA_MEGAPIXEL = 3.0
+_SECONDS_PER_MEGASAMPLE = 1.25
 _SCALAR_FACTOR = 4.0
 
 
