@@ -398,7 +398,7 @@ class _Canvas:
         self.texel = np.linalg.norm(band.A[:, :2], axis=0)  # (across, along) [m]
         self.broad = self._noise(64.0, 6, seed, gain=0.55)
         self.middle = self._noise(1.8, 5, seed + 1, gain=0.65)
-        self.grain = self._noise(0.045, 4, seed + 2, gain=1.0)
+        self.grain = self._noise(0.09, 4, seed + 2, gain=0.9)
 
     def _noise(self, wavelength: float, octaves: int, seed: int, gain: float) -> Image:
         return fractal(self.band.shape, wavelength=wavelength, octaves=octaves, gain=gain,
@@ -454,7 +454,7 @@ class _Canvas:
         return np.clip(1 + 0.15 * self.middle + 0.35 * self.grain, 0.4, 1.8), _GRAVEL
 
     def asphalt(self, layers: Layers, wear: float) -> Layer:
-        tone = 1 + 0.12 * self.broad + 0.05 * self.middle + 0.17 * self.grain
+        tone = 1 + 0.12 * self.broad + 0.05 * self.middle + 0.12 * self.grain
         tone *= np.float32(0.10 + 0.06 * wear)
         tone *= 1 + np.float32(0.22 * wear - 0.16) * self.blurred(self.mask(layers.tracks), 0.16)
         tone *= 1 - 0.32 * self.mask(layers.patches)

@@ -31,17 +31,24 @@ class Layout:
     """A scene's site, seen from where the rig stands."""
 
     def __init__(
-        self, site: Site, spec: SceneSpec, rig_xy: Array, sign_rects: Mapping[str, Rect]
+        self,
+        site: Site,
+        spec: SceneSpec,
+        rig_xy: Array,
+        sign_rects: Mapping[str, Rect],
+        zoom: float,
     ) -> None:
+        """``zoom`` is the focal length over that of a 90° lens: detail counts in pixels."""
         self.site, self.spec, self.rig_xy = site, spec, rig_xy
         self.lanes = site.network.lanes
         self.sign_rects = sign_rects
+        self.zoom = zoom
         self.lights: list[Array] = []
         """(N, 3) world positions of lamps that burn at night"""
 
     def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> Literal[0, 1, 2]:
         """Level of detail: 0 near the rig, 2 far away."""
-        distance = float(np.linalg.norm(np.asarray(xy)[:2] - self.rig_xy))
+        distance = float(np.linalg.norm(np.asarray(xy)[:2] - self.rig_xy)) / self.zoom
         return 0 if distance <= near else 1 if distance <= far else 2
 
     def in_view(self, xy: Array) -> bool:

@@ -72,7 +72,8 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         )  # fmt: skip
         sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
         surfaces = pool.submit(_sheets, spec)
-        layout = Layout(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects)
+        zoom = 1 / np.tan(optics.hfov_rad / 2)
+        layout = Layout(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects, float(zoom))
         parts = _place(layout)
         lamps = _night_lamps(layout, drive) if daylight.is_night(spec.sky) else []
         return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps)
