@@ -115,7 +115,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _render(options: RenderOptions) -> int:
-    from simgen.session import render
+    from simgen.rendering import render
 
     return render(options)
 

@@ -11,9 +11,9 @@ import numpy as np
 from simgen.config import RenderOptions, resolve
 from simgen.flowfield import flow_from_depth
 from simgen.geometry import intrinsics, inverse, pixel_grid, rotation_from_vector, transform
+from simgen.rendering import CONVENTIONS, UNITS
 from simgen.run import LOG, split_of
 from simgen.schema import AT_INFINITY, LABELS, OUT_OF_FRAME, SCHEMA_VERSION, VISIBLE
-from simgen.session import CONVENTIONS, UNITS
 from simgen.shards import Manifest
 from simgen.store import Source, assemble, write_frame
 

@@ -10,7 +10,7 @@ import pytest
 from test_config import _recipe_file
 
 from simgen import __main__ as cli
-from simgen import run, session
+from simgen import rendering, run
 from simgen.errors import UserError
 from simgen.shards import ShardSet
 
@@ -22,8 +22,8 @@ def fake_renderer(monkeypatch):
     """``fake_renderer(fakes.render)``: renders 8×6 pixels instead of roads."""
 
     def use(render_one: run.RenderOne) -> None:
-        monkeypatch.setattr(session, "_render_one", lambda: render_one)
-        monkeypatch.setattr(session, "_start_worker", lambda: _start)
+        monkeypatch.setattr(rendering, "_render_one", lambda: render_one)
+        monkeypatch.setattr(rendering, "_start_worker", lambda: _start)
 
     return use
 
@@ -81,7 +81,7 @@ def test_ctrl_c_is_a_sentence_and_status_130(tmp_path, capsys, monkeypatch):
     def interrupted(options: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(session, "render", interrupted)
+    monkeypatch.setattr(rendering, "render", interrupted)
     assert cli.main(["render", "--n", "9", "--out", str(tmp_path)]) == 130
     said = capsys.readouterr().err
     assert said == "\nsimgen: stopped. Finished frames are kept; the same command goes on.\n"
@@ -91,7 +91,7 @@ def test_a_renderer_that_cannot_start_is_an_error_of_one_paragraph(
     tmp_path, capsys, fake_renderer, monkeypatch
 ):
     fake_renderer(fakes.render)
-    monkeypatch.setattr(session, "_start_worker", lambda: _fails)
+    monkeypatch.setattr(rendering, "_start_worker", lambda: _fails)
     assert cli.main(["render", "--n", "3", "--out", str(tmp_path / "set"), *SMALL]) == 2
     said = capsys.readouterr().err
     assert said.splitlines()[-1].startswith("simgen: The renderer cannot start (ImportError: no")
