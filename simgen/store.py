@@ -32,7 +32,7 @@ from simgen.schema import FIELDS, PER_PIXEL
 from simgen.shards import ShardEntry, load_zstd, write_atomically
 
 GZIP_LEVEL = 1
-"""With shuffle, level 4 is 3 % smaller and takes twice the time (see benchmarks/)."""
+"""Level 4 made a full-size frame 4 % smaller (81.0 against 84.7 MB) for 25 % more CPU time."""
 ZSTD_LEVEL = 3
 
 Arrays = Mapping[str, Any]
