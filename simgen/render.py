@@ -29,8 +29,8 @@ Image = NDArray[Any]
 
 MAX_DEPTH = 4
 RR_DEPTH = 1
-"""Russian roulette from the first bounce: on an urban scene 2.3 instead of 5.8 s of CPU time, and the
-same mean radiance to 4 digits."""
+"""Russian roulette from the first bounce: on an urban scene 2.3 instead of 5.8 s of CPU
+time, and the same mean radiance to 4 digits."""
 FEATURE_SPP = 8
 MIN_ALBEDO = 0.03
 """Irradiance of darker surfaces is not divided further: black would blow the noise up."""

@@ -78,8 +78,6 @@ class Network:
     rig_lane: Lane
     """the lane that the rig drives in; its origin station is ``rig_station``"""
     rig_station: float
-    main_road: str
-    """roads whose names start with this are the main road"""
 
     @property
     def driving(self) -> list[Lane]:
@@ -269,7 +267,7 @@ def _read(plan: _Plan, spec: SceneSpec) -> Network:
     lanes = list(_read_lanes(road_map, plan.lanes))
     return Network(
         lanes=lanes, surfaces=surfaces, buildings=_read_buildings(road_map, spec),
-        junctions=plan.junctions, rig_lane=lanes[0], rig_station=0.0, main_road="road/main",
+        junctions=plan.junctions, rig_lane=lanes[0], rig_station=0.0,
     )  # fmt: skip
 
 
