@@ -81,6 +81,11 @@ def draw(interval: Interval, *, rng: np.random.Generator) -> float:
     return float(rng.uniform(*interval))
 
 
+def draw_log(interval: Interval, *, rng: np.random.Generator) -> float:
+    """A log-uniform draw from an interval of positive numbers."""
+    return float(np.exp(rng.uniform(*np.log(interval))))
+
+
 def pick(shares: Mapping[str, float], *, rng: np.random.Generator) -> str:
     """A name drawn in proportion to its share, whatever the order that they are stated in."""
     names = sorted(shares)
@@ -152,6 +157,10 @@ class TrafficTable(Table):
     """vehicles per lane and km"""
     parked: Annotated[Interval, within(0.0, 1.0)]
     """share of parking bays that are taken"""
+    pedestrians_per_100m: Annotated[Interval, within(0.0, 60.0)]
+    """people on foot, each side of the road"""
+    cyclists_per_km: Annotated[Interval, within(0.0, 60.0)]
+    """per lane and km"""
     families: Annotated[Shares, one_of(*FAMILIES)]
 
 
@@ -207,8 +216,12 @@ class WeatherTable(Table):
     share: Annotated[float, Field(ge=0.0)]
     cloud_cover: Annotated[Interval, within(0.0, 1.0)]
     turbidity: Annotated[Interval, within(2.0, 9.0)]
-    visibility_m: Annotated[Interval, within(2000.0, 100000.0)]
-    """meteorological range of the haze"""
+    visibility_m: Annotated[Interval, within(50.0, 100000.0)]
+    """meteorological range of the haze; below 2000 m it is fog. Drawn log-uniformly"""
+    rain_mm_h: Annotated[Interval, within(0.0, 50.0)] = (0.0, 0.0)
+    """rate of the rain that falls"""
+    wetness: Annotated[Interval, within(0.0, 1.0)] = (0.0, 0.0)
+    """of the ground: 0 = dry, 1 = a film of water, and puddles"""
 
 
 # --- the spec: what was drawn --------------------------------------------------------------------
@@ -247,6 +260,8 @@ class SkySpec:
     cloud_cover: float
     turbidity: float
     visibility_m: float
+    rain_mm_h: float
+    wetness: float
 
 
 @dataclass(frozen=True)
@@ -266,6 +281,8 @@ class SceneSpec:
     species: dict[str, float]
     moving_per_km: float
     parked: float
+    pedestrians_per_100m: float
+    cyclists_per_km: float
     families: dict[str, float]
     lamps: bool
     lamp_spacing_m: float
@@ -317,6 +334,8 @@ def draw_scene(
         species=vegetation.species,
         moving_per_km=draw(recipe.traffic.moving_per_km, rng=rng),
         parked=draw(recipe.traffic.parked, rng=rng),
+        pedestrians_per_100m=draw(recipe.traffic.pedestrians_per_100m, rng=rng),
+        cyclists_per_km=draw(recipe.traffic.cyclists_per_km, rng=rng),
         families=recipe.traffic.families,
         lamps=bool(rng.random() < furniture.lamps),
         lamp_spacing_m=draw(furniture.lamp_spacing_m, rng=rng),
@@ -333,8 +352,7 @@ def draw_scene(
 
 
 def _draw_road(table: RoadTable, *, rng: np.random.Generator) -> RoadSpec:
-    low, high = np.log(table.radius_m)
-    curvature = float(rng.choice([-1.0, 1.0]) / np.exp(rng.uniform(low, high)))
+    curvature = float(rng.choice([-1.0, 1.0])) / draw_log(table.radius_m, rng=rng)
     return RoadSpec(
         kind=table.kind,
         lanes=int(pick(table.lanes, rng=rng)),
@@ -370,7 +388,9 @@ def draw_sky(
         sun_azimuth_deg=float(rng.uniform(-180.0, 180.0)),
         cloud_cover=draw(table.cloud_cover, rng=rng),
         turbidity=draw(table.turbidity, rng=rng),
-        visibility_m=draw(table.visibility_m, rng=rng),
+        visibility_m=draw_log(table.visibility_m, rng=rng),
+        rain_mm_h=draw(table.rain_mm_h, rng=rng),
+        wetness=draw(table.wetness, rng=rng),
     )
 
 

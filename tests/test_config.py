@@ -37,7 +37,9 @@ def test_the_defaults_are_those_of_the_readme():
     job = _job()
     assert job.wh == (2560, 1440)
     assert sorted(job.recipes) == ["highway", "rural", "suburban", "urban"]
-    assert sorted(job.weather) == ["clear", "overcast", "partly_cloudy"]
+    assert sorted(job.weather) == [
+        "after_rain", "clear", "fog", "overcast", "partly_cloudy", "rain"
+    ]  # fmt: skip
     assert "night" not in job.daylight
     assert job.rig.pairs == [(0, 1), (1, 2), (0, 2)]
 
@@ -101,7 +103,7 @@ def test_presets_without_a_share_take_part_only_if_named():
 
 def test_named_presets_keep_their_shares():
     assert {k: t.share for k, t in _job(weather="clear, overcast").weather.items()} == {
-        "clear": 0.35, "overcast": 0.3
+        "clear": 0.27, "overcast": 0.18
     }  # fmt: skip
 
 

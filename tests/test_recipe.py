@@ -175,7 +175,7 @@ def test_a_missing_file_is_refused(tmp_path):
     (WeatherTable, {"share": 1, "cloud_cover": [0, 1], "turbidity": [1, 3],
                     "visibility_m": [1e4, 2e4]}, r"'turbidity' .* 2 <= low <= high <= 9"),
     (WeatherTable, {"share": 1, "cloud_cover": [0, 1], "turbidity": [2, 3],
-                    "visibility_m": [5, 2e4]}, r"'visibility_m' .* 2000 <= low <= high <= 100000"),
+                    "visibility_m": [5, 2e4]}, r"'visibility_m' .* 50 <= low <= high <= 100000"),
 ])  # fmt: skip
 def test_impossible_presets_are_refused(table, data, expected):
     with pytest.raises(UserError, match=rf"weather\.toml \[x\]: .*{expected}"):
