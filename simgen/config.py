@@ -55,7 +55,7 @@ class RenderOptions:
     recipes: str = ""
     """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given"""
     weather: str = ""
-    """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by their shares"""
+    """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by shares"""
     daylight: str = ""
     """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); all by day if not given"""
     split: Literal["all", "train", "test"] = "all"
