@@ -15,7 +15,6 @@ import hashlib
 import json
 import os
 import shutil
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -25,14 +24,16 @@ from typing import Any
 
 import h5py
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
 from simgen.errors import UserError
 from simgen.schema import FIELDS, PER_PIXEL
 from simgen.shards import ShardEntry, load_zstd, write_atomically
 
-GZIP_LEVEL = 1
-"""Level 4 made a full-size frame 4 % smaller (81.0 against 84.7 MB) for 25 % more CPU time."""
+GZIP_LEVEL = 2
+"""Of ISA-L, which has levels 0 to 3: on a full-size frame the size of zlib's level 1 in an eighth
+of its time."""
 ZSTD_LEVEL = 3
 
 Arrays = Mapping[str, Any]
@@ -145,7 +146,7 @@ def _filters(compression: str) -> dict[str, Any]:
 
 
 def _write_images(dataset: h5py.Dataset, images: NDArray[Any], compression: str) -> None:
-    """One chunk per camera or pair; gzip chunks are made here, in threads (zlib lets them run)."""
+    """One chunk per camera or pair; gzip chunks are made here, in threads (ISA-L lets them run)."""
     if compression != "gzip":
         dataset[0] = images
         return
@@ -158,7 +159,7 @@ def _write_images(dataset: h5py.Dataset, images: NDArray[Any], compression: str)
 def _deflated(image: NDArray[Any]) -> bytes:
     """HDF5's shuffle filter (byte planes) and deflate."""
     planes = np.ascontiguousarray(image).reshape(-1).view(np.uint8).reshape(-1, image.itemsize)
-    return zlib.compress(np.ascontiguousarray(planes.T).data, GZIP_LEVEL)
+    return isal_zlib.compress(np.ascontiguousarray(planes.T).data, GZIP_LEVEL)
 
 
 def _publish(temporary: Path, path: Path) -> None:
