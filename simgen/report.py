@@ -24,8 +24,17 @@ from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.page import page, plain, section, size_text, table
 from simgen.paint import Rgb
+from simgen.schema import LABELS
 from simgen.shards import Manifest, ShardSet, write_atomically
-from simgen.survey import DEPTH_EDGES_M, FLOW_EDGES_PX, Measured, RunLog, measure, read_log
+from simgen.survey import (
+    DEPTH_EDGES_M,
+    FAR_M,
+    FLOW_EDGES_PX,
+    Measured,
+    RunLog,
+    measure,
+    read_log,
+)
 
 MAX_THUMBNAILS = 96
 _THUMBNAIL_WIDTH = 264
@@ -50,6 +59,7 @@ def write_report(folder: Path, path: Path) -> Path:
         _contact_sheet(frames, measured),
         _distributions(frames, measured),
         _strata(frames.manifest.config, measured),
+        _content(measured),
         _cost(read_log(folder)),
         _failures(frames.manifest),
         _files(frames.manifest),
@@ -262,6 +272,29 @@ def _asked_and_found(asked: dict[str, Any], found: Counter[str]) -> list[tuple[s
          f"{100 * found[name] / total:.0f} %")
         for name, a in asked.items()
     ]  # fmt: skip
+
+
+# --- content -------------------------------------------------------------------------------------
+
+
+def _content(measured: Sequence[Measured]) -> str:
+    """What is in view, as means over the frames of each recipe, then over all."""
+    recipes = sorted({m.recipe for m in measured})
+    groups = {plain(r): [m for m in measured if m.recipe == r] for r in recipes}
+    head = ("mean per frame", "frames", "classes", "instances", "sky",
+            *(f"beyond {far:g} m" for far in FAR_M))  # fmt: skip
+    rows = [(name, *_means(group)) for name, group in {**groups, "all": measured}.items()]
+    note = "In view of any camera of the rig; shares are of all pixels."
+    return section("Content", table(head, rows, numbers=True), note)
+
+
+def _means(group: Sequence[Measured]) -> Iterator[str]:
+    yield str(len(group))
+    yield f"{np.mean([m.num_classes for m in group]):.1f}"
+    yield f"{np.mean([m.num_instances for m in group]):.1f}"
+    labels = np.sum([m.label_counts for m in group], axis=0)
+    for share in (labels[LABELS["sky"]] / labels.sum(), *np.mean([m.far_shares for m in group], 0)):
+        yield f"{100 * share:.1f} %"
 
 
 # --- cost and failures ---------------------------------------------------------------------------

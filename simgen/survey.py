@@ -20,6 +20,7 @@ from simgen.schema import VISIBLE
 from simgen.shards import Frame
 
 DEPTH_EDGES_M: Array = np.geomspace(0.5, 20_000.0, 70)
+FAR_M = (100.0, 300.0)
 FLOW_EDGES_PX: Array = np.geomspace(0.1, 10_000.0, 76)
 _GRID_WIDTH = 240
 """about so many pixels of a row are looked at"""
@@ -42,6 +43,8 @@ class Measured:
     """nearest and farthest surface of all cameras; NaN where there is none"""
     depth_counts: Counts
     """pixels of all cameras between DEPTH_EDGES_M, without the sky"""
+    far_shares: Array
+    """(2,) share of all pixels that show a surface beyond each of FAR_M"""
     flow_longest_px: Array
     """(P,)"""
     flow_counts: Counts
@@ -52,11 +55,18 @@ class Measured:
     """(C,) mean of the image, 0 to 1"""
     label_counts: Counts
     """(256,) pixels of all cameras by label id"""
+    num_instances: int
+    """in view of any camera, if only by one pixel"""
 
     @property
     def stratum(self) -> tuple[str, str, str]:
         """What the frame was drawn from: recipe, daylight, weather."""
         return self.recipe, self.daylight, self.weather
+
+    @property
+    def num_classes(self) -> int:
+        """Classes in view of any camera, the sky among them."""
+        return int(np.count_nonzero(self.label_counts[1:]))
 
 
 def measure(frame: Frame) -> Measured:
@@ -76,11 +86,13 @@ def measure(frame: Frame) -> Measured:
         perturbation_deg=frame.perturbation_deg,
         depth_range_m=_range(surfaces),
         depth_counts=_histogram(surfaces, DEPTH_EDGES_M),
+        far_shares=np.array([np.mean(depth[grid] > far) for far in FAR_M]),
         flow_longest_px=np.array([length.max() for length in lengths]),
         flow_counts=np.array([_histogram(length, FLOW_EDGES_PX) for length in lengths]),
         overlap=np.mean((frame.flow_status[grid] & VISIBLE) > 0, axis=(1, 2)),
         brightness=images[grid].mean(axis=(1, 2, 3)) / 255,
         label_counts=np.bincount(frame.semantic[grid].ravel(), minlength=256),
+        num_instances=int(np.count_nonzero(np.bincount(frame.instance.ravel())[1:])),
     )
 
 

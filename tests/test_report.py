@@ -71,6 +71,14 @@ def test_measured_shares_are_those_of_all_pixels(tmp_path: Path, hw: tuple[int, 
     assert m.depth_range_m[0] == pytest.approx(HEIGHT_M * 16 / 9, rel=0.05)
 
 
+def test_content_counts_classes_instances_and_what_is_far(tmp_path: Path) -> None:
+    drawn = make_frame(1, hw=(270, 480))
+    m = survey.measure(ShardSet(write_set(tmp_path, [drawn])).frame(1))
+    assert (m.num_classes, m.num_instances) == (2, 1)
+    for share, far in zip(m.far_shares, survey.FAR_M, strict=True):
+        assert share == pytest.approx((drawn["depth"] > far).mean(), abs=0.01)
+
+
 def test_flow_is_measured_also_where_it_is_not_stored(tmp_path: Path) -> None:
     drawn = [make_frame(1)]
     stored, derived = (
@@ -122,6 +130,12 @@ def test_the_page_tells_files_and_failures(folder: Path, text: str) -> None:
     assert "depth &lt; 1 m; no &lt;b&gt;sky&lt;/b&gt;" in text
     assert "1 frames failed, 0 draws were replaced" in text
     assert "4 rig frames (3 train, 1 test), 12 stereo pairs, 96x54 pixels" in text
+
+
+def test_the_page_tells_the_content_of_each_recipe(text: str) -> None:
+    content = re.sub(r"<[^>]+>", " ", text.split("<h2>Content</h2>")[1].split("</section>")[0])
+    for name, frames in (("rural", 2), ("urban", 2), ("all", 4)):
+        assert re.search(rf"{name} +{frames} +2\.0 +1\.0 ", content)
 
 
 def test_the_same_set_gives_the_same_page(folder: Path, text: str) -> None:
