@@ -57,7 +57,7 @@ class RenderOptions:
     weather: str = ""
     """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by shares"""
     daylight: str = ""
-    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); all by day if not given"""
+    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); by shares"""
     split: Literal["all", "train", "test"] = "all"
     """render one side only; a scene is a test scene if its number is divisible by 10"""
     frames_per_scene: int = 1

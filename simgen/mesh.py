@@ -36,6 +36,8 @@ class Part:
     """(V, 2): metres on the surface, or [0, 1]² for the sign atlas"""
     instance: int = 0
     """0 = none; set when the model is placed"""
+    emission: NDArray[np.float32] | None = None
+    """(F, 3) radiance that each face sends out by itself, set at night; see night.py"""
 
 
 Model = list[Part]

@@ -23,7 +23,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from simgen import __version__, daylight, groundtruth, render, scene, sensor, world
+from simgen import __version__, daylight, glow, groundtruth, render, scene, sensor, world
 from simgen.checks import check_frame
 from simgen.config import Job
 from simgen.engine import Engine, activate
@@ -123,7 +123,7 @@ def radiance(
     plan: FramePlan, job: Job, loaded: scene.Scene, sky: Any, watch: Stopwatch
 ) -> list[render.Image]:
     """Linear radiance (H, W, 3) of every camera, haze included."""
-    haze = daylight.haze_radiance(sky)
+    air = daylight.airlight(sky)
     visibility_m = plan.spec.sky.visibility_m
     clear = []
     for number, camera in enumerate(plan.posed.cameras):
@@ -131,11 +131,13 @@ def radiance(
         image, features, seconds = render.render(
             loaded, camera, spp=job.spp, denoise=job.denoise, seed=seed
         )
-        clear.append((image, features))
+        clear.append((image, features, camera))
         for stage, spent in asdict(seconds).items():
             watch.seconds[stage] = watch.seconds.get(stage, 0.0) + spent
     with watch("haze"), ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda c: render.through_haze(c[0], c[1], haze, visibility_m), clear))
+        hazy = pool.map(lambda c: render.through_haze(c[0], c[1], c[2], air, visibility_m), clear)
+        lit = (glow.emitted(loaded, c, visibility_m) for c in plan.posed.cameras)
+        return [image + light for image, light in zip(hazy, lit, strict=True)]
 
 
 def _develop(

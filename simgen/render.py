@@ -15,14 +15,16 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import mitsuba as mi
 import numpy as np
 import pyoidn
 from numpy.typing import NDArray
 
-from simgen.daylight import seen_through, transmittance
+from simgen.atmosphere import transmittance
 from simgen.rig import Camera
 from simgen.scene import Scene
+from simgen.skymap import seen_through
 
 Image = NDArray[Any]
 """float32"""
@@ -80,14 +82,47 @@ def render(
     return radiance, features, Timings(traced - start, measured - traced, done - measured)
 
 
-def through_haze(radiance: Image, features: Features, haze: Image, visibility_m: float) -> Image:
+def through_haze(
+    radiance: Image, features: Features, camera: Camera, airlight: Image, visibility_m: float
+) -> Image:
     """Adds the light of the air between camera and surfaces (Koschmieder) to (H, W, 3).
 
-    The sky is left alone: its map already holds the whole depth of the air.
+    ``airlight`` is the map of daylight.airlight. The sky is left alone: its map already holds the
+    whole depth of the air.
     """
-    lost = 1 - transmittance(features.distance_m, visibility_m)[..., None]
+    lost = 1 - mean_transmittance(features, visibility_m)[..., None]
     surfaces = radiance - features.sky
-    return radiance + lost * (haze * features.coverage[..., None] - surfaces)
+    air = _smooth_map_seen(airlight, camera)
+    return radiance + lost * (air * features.coverage[..., None] - surfaces)
+
+
+def mean_transmittance(features: Features, visibility_m: float) -> Image:
+    """Of the surfaces in each pixel, of which only the mean distance is known.
+
+    At an edge that would be a distance at which nothing is. A pixel is taken as a mixture of what
+    is nearest and farthest around it, in the proportion that gives its mean. The sky does not
+    count.
+    """
+    around = np.ones((3, 3), np.uint8)
+    distance_m, covered = features.distance_m, features.coverage > 0
+    far = cv2.dilate(distance_m, around)
+    near = np.minimum(cv2.erode(np.where(covered, distance_m, far), around), far)
+    share = (far - distance_m) / np.maximum(far - near, 1e-6)
+    through_near, through_far = (transmittance(d, visibility_m) for d in (near, far))
+    mean: Image = through_far + share * (through_near - through_far)
+    return mean
+
+
+def _smooth_map_seen(sky_map: Image, camera: Camera, step: int = 8) -> Image:
+    """A map without detail at all pixels (H, W, 3), read at every ``step``-th and enlarged."""
+    w, h = camera.wh
+    small = (-(-w // step), -(-h // step))
+    to_small = np.array([[small[0] / w, 0, 0], [0, small[1] / h, 0], [0, 0, 1]])
+    K = to_small @ camera.K
+    K[:2, 2] += 0.5 * np.diag(to_small)[:2] - 0.5
+    coarse = seen_through(sky_map, K, camera.T_world_cam[:3, :3], small)
+    fine: Image = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_LINEAR)
+    return fine
 
 
 def load_sensor(camera: Camera) -> Any:

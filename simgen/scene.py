@@ -72,6 +72,18 @@ class FaceTable:
 
 
 @dataclass(frozen=True, eq=False)
+class Glow:
+    """Faces that send out light by themselves; none by day."""
+
+    face: NDArray[np.int64]
+    """(G,) their ids, ascending"""
+    radiance: NDArray[np.float32]
+    """(G, 3)"""
+    corners: NDArray[np.float64]
+    """(G, 3, 3)"""
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A loaded scene."""
 
@@ -83,6 +95,7 @@ class Scene:
     faces: FaceTable
     sky: NDArray[np.float32]
     """the environment map, see daylight.py"""
+    glow: Glow
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +134,7 @@ def load(world: World, *, num_lamps: int) -> Scene:
         np.cumsum([0, *counts[:-1]]),
         _face_table(slots, [(m[1], m[2]) for m in meshes]),
         world.sky,
+        _glow(slots),
     )
 
 
@@ -268,6 +282,26 @@ def _face_table(
     )
 
 
+def _glow(slots: Sequence[_Slot]) -> Glow:
+    """What glows among the faces of all slots, those of _NOWHERE included."""
+    parts = [p for slot in slots for p in (slot.parts or [_EMPTY])]
+    first = np.cumsum([0, *(len(p.faces) for p in parts)])
+    faces: list[NDArray[Any]] = [np.empty(0, np.int64)]
+    radiance: list[NDArray[Any]] = [np.empty((0, 3))]
+    corners: list[NDArray[Any]] = [np.empty((0, 3, 3))]
+    for p, start in zip(parts, first, strict=False):
+        if p.emission is not None:
+            on = p.emission.any(axis=1)
+            faces.append(start + np.flatnonzero(on))
+            radiance.append(p.emission[on])
+            corners.append(p.vertices[p.faces[on]])
+    return Glow(
+        np.concatenate(faces),
+        np.concatenate(radiance).astype(np.float32),
+        np.concatenate(corners),
+    )
+
+
 _EMPTY = Part(_NOWHERE, np.array([[0, 1, 2]]), "", 0)
 
 
@@ -300,6 +334,7 @@ def _spot(lamp: Lamp) -> dict[str, Any]:
     return {
         "type": "spot",
         "intensity": {"type": "rgb", "value": [float(x) for x in lamp.intensity]},
+        "sampling_weight": 1.0 if np.any(lamp.intensity) else 0.0,
         "cutoff_angle": lamp.cutoff_deg,
         "beam_width": lamp.beam_deg,
         "to_world": mi.ScalarTransform4f().look_at(

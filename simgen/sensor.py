@@ -26,6 +26,10 @@ WHITE = 8.0
 MAX_BRIGHT = 4.0
 """the brightest 1 % of the lower half may not be exposed above this"""
 
+MAX_EXPOSURE = 180.0
+"""per kcd/m²: what 1/30 s at f/2 and ISO 1600 take to middle grey is 0.9 cd/m² (ISO 2720 with
+K = 12.5). Darker scenes look dark."""
+
 
 @dataclass(frozen=True)
 class Exposure:
@@ -53,7 +57,7 @@ def meter(radiances: Sequence[Image]) -> float:
     light = np.concatenate([luminance(r[r.shape[0] // 2 :: 4, ::4]).ravel() for r in radiances])
     typical = np.exp(np.log(np.maximum(light.astype(np.float64), 1e-9)).mean())
     bright = np.quantile(light, 0.99)
-    return float(min(MIDDLE_GREY / typical, MAX_BRIGHT / max(bright, 1e-9)))
+    return float(min(MIDDLE_GREY / typical, MAX_BRIGHT / max(bright, 1e-9), MAX_EXPOSURE))
 
 
 def draw_exposures(

@@ -13,6 +13,7 @@ from simgen import (
     daylight,
     ground,
     markings,
+    night,
     planting,
     roads,
     roadside,
@@ -25,7 +26,7 @@ from simgen.layout import Layout, Placed
 from simgen.mesh import Part
 from simgen.recipe import SceneSpec
 from simgen.roads import Network, at_station, stations
-from simgen.scene import Lamp, World
+from simgen.scene import World
 from simgen.schema import LABELS
 from simgen.signs import sign_atlas
 from simgen.site import Site
@@ -75,7 +76,7 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         zoom = 1 / np.tan(optics.hfov_rad / 2)
         layout = Layout(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects, float(zoom))
         parts = _place(layout)
-        lamps = _night_lamps(layout, drive) if daylight.is_night(spec.sky) else []
+        lamps = night.lamps(layout, drive.T_world_vehicle) if daylight.is_night(spec.sky) else []
         return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps)
 
 
@@ -95,31 +96,14 @@ def _place(layout: Layout) -> list[Part]:
     layout.keep_clear_of_rig()
     ids = count(1)
     parts: list[Part] = []
+    dark, rng = daylight.is_night(layout.spec.sky), layout.spec.stream("night")
     for step in _STEPS:
         for model in step(layout):
+            if dark and step is not traffic.parked:
+                model = night.glowing(model, rng=rng)
             instance = next(ids) if any(p.semantic not in _STUFF for p in model) else 0
             parts += [replace(p, instance=instance) for p in model]
     return parts
-
-
-_HEADLAMP = np.array([260.0, 245.0, 215.0]) * 0.012
-_STREET_LAMP = np.array([240.0, 175.0, 105.0]) * 0.012
-
-
-def _night_lamps(layout: Layout, drive: Drive) -> list[Lamp]:
-    """The rig's own headlights, and street lamps, the nearest first."""
-    T = drive.T_world_vehicle
-    ahead = T[:3, :3] @ np.array([1.0, 0.0, -0.06])
-    own = [
-        Lamp(T[:3, :3] @ np.array([0.4, y, 0.7]) + T[:3, 3], ahead, _HEADLAMP, 38.0, 18.0)
-        for y in (0.65, -0.65)
-    ]
-    if not layout.lights:
-        return own
-    heads = np.concatenate(layout.lights)
-    nearest = heads[np.argsort(np.linalg.norm(heads[:, :2] - layout.rig_xy, axis=1))]
-    down = np.array([0.0, 0.0, -1.0])
-    return own + [Lamp(xyz - [0, 0, 0.05], down, _STREET_LAMP, 75.0, 55.0) for xyz in nearest]
 
 
 WALL_KINDS = ("brick", "plaster", "concrete", "stone")

@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simgen import daylight
+from simgen import atmosphere, clouds, daylight
+from simgen.atmosphere import clear_dome, sun_direction, sun_klx, transmittance
 from simgen.color import luminance
-from simgen.daylight import SKY_HW, directions, environment, sun_direction, transmittance
+from simgen.daylight import environment
 from simgen.recipe import SkySpec
+from simgen.skymap import DOME_HW, SKY_HW, directions, dome_directions, enlarged, illuminance
 
 
-def sky(elevation: float = 40.0, cover: float = 0.0, azimuth: float = 30.0) -> SkySpec:
-    return SkySpec("noon", "clear", elevation, azimuth, cover, 3.0, 3e4)
+def sky(
+    elevation: float = 40.0, cover: float = 0.0, azimuth: float = 30.0, visibility: float = 3e4
+) -> SkySpec:
+    return SkySpec("noon", "clear", elevation, azimuth, cover, 3.0, visibility, 0.0, 0.0)
 
 
 def solid_angles() -> np.ndarray:
@@ -39,10 +43,10 @@ def test_the_brightest_texel_is_the_sun(elevation, azimuth):
 
 def test_the_painted_sun_carries_its_illuminance():
     s = sky(50.0)
-    image, (clear, sun) = make(s), daylight._clear_sky(s)
-    near = (directions() @ sun_direction(s)) > np.cos(np.deg2rad(1.0))
-    excess = ((image - clear)[near] * solid_angles()[near][:, None]).sum(axis=0)
-    np.testing.assert_allclose(excess, sun, rtol=0.03)
+    image, clear = make(s)[: DOME_HW[0]], enlarged(clear_dome(s))
+    near = (dome_directions() @ sun_direction(s)) > np.cos(np.deg2rad(1.0))
+    excess = ((image - clear)[near] * solid_angles()[: DOME_HW[0]][near][:, None]).sum(axis=0)
+    np.testing.assert_allclose(excess, sun_klx(s), rtol=0.05)
 
 
 @pytest.mark.parametrize("elevation", [1.5, 5.0, 20.0, 65.0])
@@ -56,7 +60,7 @@ def test_no_sky_is_black_burnt_or_undefined(elevation, cover):
 
 
 def test_a_low_sun_is_redder_than_a_high_one():
-    low, high = (daylight.sun_transmittance(sky(e)) for e in (3.0, 60.0))
+    low, high = (atmosphere.sun_transmittance(sky(e)) for e in (3.0, 60.0))
     assert low[0] / low[2] > 2 * high[0] / high[2]
 
 
@@ -69,6 +73,38 @@ def test_overcast_casts_no_sun():
 def test_night_is_dark_but_not_black():
     image = make(sky(-12.0))
     assert 0 < luminance(image).mean() < 0.05
+
+
+@pytest.mark.parametrize("visibility", [60.0, 300.0, 1000.0])
+def test_the_airlight_is_the_foggy_sky_at_the_horizon(visibility):
+    """No seam: what is far away ends in the colour of the sky behind it."""
+    image = make(sky(30.0, 0.97, visibility=visibility))
+    above = image[SKY_HW[0] // 2 - 6]
+    np.testing.assert_allclose(daylight.airlight(image)[0], above, rtol=0.05)
+
+
+def test_dense_fog_takes_shadows_away_but_not_the_light():
+    clear, fog = make(sky(50.0)), make(sky(50.0, visibility=60.0))
+    assert luminance(fog).max() < 3 * luminance(fog[: DOME_HW[0]]).mean()
+    share = illuminance(fog[: DOME_HW[0]]) / illuminance(clear[: DOME_HW[0]])
+    assert (share > 0.3).all()
+    assert (share < 0.8).all()
+
+
+def test_clouds_share_the_sky_as_asked():
+    """The blue to red ratio tells them from the clear sky."""
+    shares = []
+    for cover in (0.2, 0.5, 0.8):
+        light = daylight._light_on_clouds(sky(40.0), clear_dome(sky(40.0)))
+        layers = [clouds.build(cover, light, rng=np.random.default_rng(i)) for i in range(4)]
+        shares.append(np.mean([1 - x.clear[150:350].mean() for x in layers]))
+    assert shares[0] < shares[1] < shares[2]
+    assert 0.2 < shares[1] < 0.85
+
+
+def test_a_closed_cloud_layer_leaves_no_gap():
+    light = daylight._light_on_clouds(sky(40.0), clear_dome(sky(40.0)))
+    assert clouds.build(1.0, light, rng=np.random.default_rng(0)).clear.max() < 0.02
 
 
 def test_haze_at_the_visibility_leaves_two_percent():
@@ -124,7 +160,8 @@ def test_our_sky_agrees_with_mitsubas():
     s = sky(35.0)
     sunsky = {"type": "sunsky", "sun_scale": 0.0, "turbidity": s.turbidity,
               "sun_direction": mi.ScalarVector3f(*sun_direction(s).tolist())}  # fmt: skip
-    mine = _sky_dict(daylight._clear_sky(s)[0])
+    dome = enlarged(clear_dome(s))
+    mine = _sky_dict(np.concatenate([dome, np.zeros_like(dome)]))
     azimuth = np.deg2rad(np.arange(0, 360, 30))
     looks = np.stack([np.cos(azimuth), np.sin(azimuth), 0.2 + 0.8 * (azimuth % 1.0)], axis=1)
     theirs, ours = (np.array([mean_radiance(e, d) for d in looks]) for e in (sunsky, mine))

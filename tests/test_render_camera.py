@@ -102,14 +102,14 @@ def test_the_sky_we_add_is_the_sky_that_the_renderer_sees() -> None:
     """Two routes to the sky behind everything: our lookup of the map, and Mitsuba's."""
     import mitsuba as mi
 
-    from simgen import daylight, render
+    from simgen import render, skymap
     from simgen.scene import _sky_dict
 
-    d = daylight.directions((128, 256))
+    d = skymap.directions((128, 256))
     sky = (1.5 + np.sin(3 * d) * np.cos(2 * d[..., ::-1])).astype(np.float32)
     seen = camera(turn_deg=(-25.0, 40.0, 10.0))
     scene = mi.load_dict({"type": "scene", "sky": _sky_dict(sky)})
     path = mi.load_dict({"type": "path", "max_depth": 1})
     theirs = np.array(mi.render(scene, integrator=path, sensor=render.load_sensor(seen), spp=16))
-    ours = daylight.seen_through(sky, seen.K, seen.T_world_cam[:3, :3], seen.wh)
+    ours = skymap.seen_through(sky, seen.K, seen.T_world_cam[:3, :3], seen.wh)
     np.testing.assert_allclose(ours, theirs[..., :3], atol=0.03)

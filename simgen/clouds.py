@@ -1,0 +1,220 @@
+"""A layer of low clouds and a veil of high ones, lit by sun and sky, seen from below.
+
+The low clouds are a height field h(x, y) [km] on a flat base: lumpy tops, level bottoms. Rays
+march up through it; at each step the light is what the sun sends through the cloud on its way
+(h averaged towards the sun), plus what is left of all light after many scatterings, less where
+the cloud is thick: so edges and tops are bright and thick bases are grey.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from simgen.geometry import Array
+from simgen.skymap import COARSE, DOME_HW, Image, dome_directions, enlarged, texel
+
+BASE_KM = 1.2
+TOP_KM = 1.3
+"""height of the tallest clouds above the base"""
+STEPS = 9
+SHARP_BELOW_DEG = 36.0
+"""Higher up, where no camera of a rig looks, clouds are made on the coarse dome."""
+_TILE = 1024
+_TILE_KM = 9.0
+_PATCH_KM = 3.0
+_HORIZON = 0.035
+"""added to the sine of the elevation: the earth bends away, so distances stay finite"""
+_DENSITY = 7.0
+"""optical depth per km towards the sun, as far as it takes light out of the beam"""
+_HAZE_KM = 22.0
+"""distance at which air hides two thirds of a cloud"""
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What falls on the clouds."""
+
+    towards_sun: Array
+    sun_klx: Array
+    """(3,) facing the sun"""
+    sky: Array
+    """(3,) mean radiance of the clear sky"""
+
+
+@dataclass(frozen=True, eq=False)
+class Clouds:
+    """A dome of clouds, to be laid over a clear one."""
+
+    radiance: Image
+    """(h, w, 3) of the clouds, times the share of the texel that they hide"""
+    clear: Image
+    """(h, w) share of what is behind that shows"""
+
+    def over(self, dome: Image) -> Image:
+        """The sky with the clouds in front."""
+        return dome * self.clear[..., None] + self.radiance
+
+    def share_of_sun(self, towards_sun: Array) -> float:
+        """What the clouds leave of the sun's direct light."""
+        row, column = texel(towards_sun)
+        patch = self.clear[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
+        return float(patch.mean()) if patch.size else 1.0
+
+
+def build(cover: float, light: Light, *, rng: np.random.Generator) -> Clouds:
+    """Clouds over a share ``cover`` of the sky; from 0.95 up no gap is left."""
+    field = _drawn_field(cover, light.towards_sun, rng=rng)
+    upper = _seen(field, dome_directions(COARSE), light)
+    first = round(DOME_HW[0] * (1 - SHARP_BELOW_DEG / 90))
+    lower = _seen(field, dome_directions()[first:], light)
+    radiance, clear = (
+        np.concatenate([enlarged(u)[:first], v]) for u, v in zip(upper, lower, strict=True)
+    )
+    return Clouds(radiance, clear)
+
+
+# --- shape ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """Heights of the clouds over the base: TOP_KM · share of (lumps + patches), where positive."""
+
+    lumps: Image
+    """(N, N, 2): periodic tile, and its mean over the path that sunlight takes through a cloud"""
+    patches: Image
+    """(M, M) where clouds gather, less the level below which there are none"""
+    solid: float
+    """1 for a closed layer"""
+    start_km: Array
+    """(2,) of the sheet, above the camera"""
+    combed: tuple[float, float]
+    """angle [rad] and amount of the veil"""
+
+
+def _drawn_field(cover: float, towards_sun: Array, *, rng: np.random.Generator) -> _Field:
+    lumps = _lumps(rng)
+    patches = 0.75 * rng.standard_normal((64, 64), dtype=np.float32)
+    solid = float(np.clip((cover - 0.85) / 0.1, 0, 1))
+    mixed = lumps[::16, ::16] + cv2.resize(patches, (64, 64), interpolation=cv2.INTER_CUBIC)
+    level = np.quantile(mixed, 1 - np.clip(cover, 0.0, 1.0)) - 1.2 * solid
+    both = np.dstack([lumps, _towards_sun(lumps, towards_sun)])
+    combed = float(rng.uniform(0, np.pi)), float(rng.uniform(-0.6, 0.5))
+    return _Field(both, patches - np.float32(level), solid, rng.uniform(0, 100, 2), combed)
+
+
+def _lumps(rng: np.random.Generator) -> Image:
+    """Heights of cauliflower (N, N) about 0, periodic: coarse waves and ever finer bulges."""
+    total = np.zeros((_TILE, _TILE), dtype=np.float32)
+    for octave, cells in enumerate((8, 16, 32, 64, 128, 256)):
+        noise = _periodic(rng.standard_normal((cells, cells), dtype=np.float32))
+        total += (noise if octave < 1 else 0.75 - np.abs(noise)) * np.float32(0.58**octave)
+    return total - float(total.mean())
+
+
+def _periodic(lattice: Image) -> Image:
+    """A lattice enlarged smoothly to a tile that can be repeated."""
+    zoom = _TILE // len(lattice)
+    padded = np.pad(lattice, 2, mode="wrap")
+    large = cv2.resize(padded, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
+    tile: Image = large[2 * zoom : -2 * zoom, 2 * zoom : -2 * zoom]
+    return tile
+
+
+def _towards_sun(lumps: Image, towards_sun: Array) -> Image:
+    slope = towards_sun[:2] / max(float(towards_sun[2]), 0.35)
+    offsets = np.arange(1, 5)[:, None] * 0.1 * TOP_KM * slope * (_TILE / _TILE_KM)
+    moved = [np.roll(lumps, (-round(o[1]), -round(o[0])), axis=(0, 1)) for o in offsets]
+    mean: Image = np.stack(moved).mean(axis=0)
+    return mean
+
+
+# --- light ---------------------------------------------------------------------------------------
+
+
+def _seen(field: _Field, d: Image, light: Light) -> tuple[Image, Image]:
+    """Radiance and share of what shows behind (see Clouds) along directions (h, w, 3)."""
+    lift = d[..., 2] + np.float32(_HORIZON)
+    reach = 1 / lift
+    per_km = d[..., :2] * reach[..., None]
+    base = (field.start_km + BASE_KM * per_km).astype(np.float32)
+    raised = _looked_up(
+        field.patches, base / np.float32(_PATCH_KM * len(field.patches)), cv2.INTER_CUBIC
+    )
+    through, sunlit, diffuse = _march(field.lumps, raised, base, per_km, reach)
+    air = np.exp(-reach * np.float32(BASE_KM / _HAZE_KM))
+    if field.solid:  # far away a closed layer is one grey
+        diffuse += (1 - air) * np.float32(field.solid) * (diffuse.mean() - diffuse)
+    kept = air + (1 - air) * np.float32(field.solid)
+    grazing = 1 + field.solid * ((1 + 2 * d[..., 2]) * (9 / 21) - 1)  # CIE overcast
+    color = _radiance(light, d, sunlit, diffuse * grazing.astype(np.float32), field.solid)
+    hides = (1 - through) * kept
+    veil = _veil(field, base) * air * through
+    ice = (0.2 * light.sun_klx / np.pi + light.sky).astype(np.float32)
+    return color * kept[..., None] + veil[..., None] * ice, (1 - hides) * (1 - veil)
+
+
+def _looked_up(tile: Image, at: Image, how: int = cv2.INTER_LINEAR) -> Image:
+    """A square tile at (h, w, 2) columns and rows, counted in tiles; it repeats for ever."""
+    n = len(tile)
+    margin = 2  # OpenCV's own wrapping costs four times as much
+    padded = np.pad(tile, [(margin, margin)] * 2 + [(0, 0)] * (tile.ndim - 2), mode="wrap")
+    inside = (at - np.floor(at)) * np.float32(n) + np.float32(margin)
+    found: Image = cv2.remap(padded, inside, None, how)
+    return found
+
+
+def _march(
+    lumps: Image, raised: Image, base: Image, per_km: Image, reach: Image
+) -> tuple[Image, Image, Image]:
+    """Through the layer: what gets through, and direct and diffuse light on what does not."""
+    through = np.ones_like(raised)
+    sunlit, diffuse = np.zeros_like(raised), np.zeros_like(raised)
+    dense = np.minimum(np.float32(22.0 * TOP_KM / STEPS) * reach, 20.0)
+    first = np.tile(_FIRST, (reach.shape[0] // 2 + 1, reach.shape[1] // 2))[: reach.shape[0]]
+    step = np.float32(TOP_KM / STEPS)
+    for k in range(STEPS):
+        z = (first + np.float32(k)) * step
+        at = (base + per_km * z[..., None]) * np.float32(1 / _TILE_KM)
+        top = _SLOPE * (_looked_up(lumps, at) + raised[..., None]) - z[..., None]
+        above = np.maximum(top[..., 1], 0)
+        inside = np.clip(top[..., 0], 0, 0.35)
+        taken = through * (1 - np.exp(-dense * inside))
+        through -= taken
+        sunlit += taken * np.exp(-_DENSITY * above)
+        diffuse += taken / (1 + np.float32(0.4 * _DENSITY) * np.maximum(above, inside))
+    smooth = (cv2.blur(x, (4, 4)) for x in (through, sunlit, diffuse))
+    return next(smooth), next(smooth), next(smooth)
+
+
+_FIRST = np.array([[0.0, 0.5], [0.75, 0.25]], dtype=np.float32)
+"""where neighbouring rays take their first step: together they see four times as many levels"""
+_SLOPE = np.float32(0.4 * TOP_KM)
+"""km of height per unit of the field"""
+
+
+def _radiance(light: Light, d: Image, sunlit: Image, diffuse: Image, solid: float) -> Image:
+    """Of what _march took out of the rays (h, w, 3)."""
+    cos = np.maximum(d @ light.towards_sun.astype(np.float32), 0)
+    eighth = np.square(np.square(np.square(cos)))
+    narrow = np.square(np.square(np.square(np.square(eighth))))
+    phase = 0.5 + 0.8 * eighth + 3.0 * narrow  # droplets scatter forward: bright rims
+    level = max(float(light.towards_sun[2]), 0.12)
+    scattered = light.sky * 0.9 + (0.55 + 0.25 * level) * level * light.sun_klx / np.pi
+    direct = (1 - solid) * light.sun_klx / np.pi
+    lit = (sunlit * phase)[..., None] * direct.astype(np.float32)
+    return lit + diffuse[..., None] * scattered.astype(np.float32)
+
+
+def _veil(field: _Field, base: Image) -> Image:
+    """Opacity (h, w) of combed-out ice clouds."""
+    angle, amount = field.combed
+    c, s = np.cos(angle), np.sin(angle)
+    comb = np.array([[0.3 * c, 0.3 * s], [-1.5 * s, 1.5 * c]]) / _TILE_KM
+    at = base @ comb.T.astype(np.float32)
+    at[..., 1] += np.float32(0.03) * np.sin(10 * at[..., 0])
+    noise = _looked_up(field.lumps[..., 0], at)
+    return np.clip(0.22 * (1 - field.solid) * (noise + np.float32(amount)), 0, 0.5)
