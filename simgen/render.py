@@ -68,11 +68,10 @@ def render(
     scene: Scene, camera: Camera, *, spp: int, denoise: bool, seed: int
 ) -> tuple[Image, Features, Timings]:
     """Linear radiance (H, W, 3) without haze, and the first-hit features."""
-    sensor = load_sensor(camera)
     start = time.perf_counter()
-    surfaces, noisy_albedo = _trace_paths(scene, sensor, spp, seed)
+    surfaces, noisy_albedo = _trace_paths(scene, camera, spp, seed)
     traced = time.perf_counter()
-    features = _trace_features(scene, camera, sensor, seed + 1)
+    features = _trace_features(scene, camera, seed + 1)
     measured = time.perf_counter()
     if denoise:
         irradiance = _denoised(surfaces / noisy_albedo, features)
@@ -125,7 +124,7 @@ def _smooth_map_seen(sky_map: Image, camera: Camera, step: int = 8) -> Image:
     return fine
 
 
-def load_sensor(camera: Camera) -> Any:
+def load_sensor(camera: Camera, sampler: str = "independent") -> Any:
     """A Mitsuba pinhole with a box filter for one of our cameras.
 
     Raises ValueError for pixels that are not square, which Mitsuba cannot have.
@@ -150,12 +149,12 @@ def load_sensor(camera: Camera) -> Any:
                 "type": "hdrfilm", "width": w, "height": h, "pixel_format": "rgba",
                 "component_format": "float32", "rfilter": {"type": "box"},
             },
-            "sampler": {"type": "independent"},
+            "sampler": {"type": sampler},
         }
     )  # fmt: skip
 
 
-def _trace_paths(scene: Scene, sensor: Any, spp: int, seed: int) -> tuple[Image, Image]:
+def _trace_paths(scene: Scene, camera: Camera, spp: int, seed: int) -> tuple[Image, Image]:
     """Radiance of the surfaces in view (H, W, 3), and the albedo (H, W, 3) of the same samples."""
     integrator = mi.load_dict(
         {
@@ -165,11 +164,13 @@ def _trace_paths(scene: Scene, sensor: Any, spp: int, seed: int) -> tuple[Image,
                       "hide_emitters": True},
         }
     )  # fmt: skip
-    image = _rendered(scene, integrator, sensor, spp, seed)
+    image = _rendered(scene, integrator, load_sensor(camera), spp, seed)
     return image[..., :3], np.maximum(_lifted(image[..., 4:7], image[..., 3]), 1e-4)
 
 
-def _trace_features(scene: Scene, camera: Camera, sensor: Any, seed: int) -> Features:
+def _trace_features(scene: Scene, camera: Camera, seed: int) -> Features:
+    """Stratified samples: with independent ones, edges and leaves had 1.3 times the true power
+    in the finest octave."""
     integrator = mi.load_dict(
         {
             "type": "aov",
@@ -177,6 +178,7 @@ def _trace_features(scene: Scene, camera: Camera, sensor: Any, seed: int) -> Fea
             "distance": {"type": "depth"},
         }
     )
+    sensor = load_sensor(camera, "multijitter")
     image = _rendered(scene, integrator, sensor, FEATURE_SPP, seed)
     distance, coverage = image[..., 0], image[..., 3]
     albedo, normal = image[..., 4:7], image[..., 7:10]
@@ -199,9 +201,11 @@ def _rendered(scene: Scene, integrator: Any, sensor: Any, spp: int, seed: int) -
 
 
 def _denoised(irradiance: Image, features: Features) -> Image:
+    """Guided by normals alone: with the albedo as a guide the denoiser drew its texture into the
+    irradiance, which then counted twice (1.7 times the true power in the finest octave)."""
     return pyoidn.denoise(
         np.ascontiguousarray(irradiance),
-        albedo=np.clip(features.albedo + (1 - features.coverage[..., None]), 0, 1),
+        albedo=np.ones_like(irradiance),
         normal=np.ascontiguousarray(features.normal),
         hdr=True,
         clean_aux=True,
