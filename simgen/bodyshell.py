@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -245,22 +245,26 @@ class Shell:
         Raises:
             ValueError: a point of the grid is beside the shell.
         """
-        fine = _halved(_halved(grid).swapaxes(0, 1)).swapaxes(0, 1)
+        fine = _halved(grid)
         outward, normal = self._skin[direction].cast(fine.reshape(-1, 2))
         outward = outward.reshape(fine.shape[:2])
-        coarse = _halved(_halved(outward[::2, ::2]).swapaxes(0, 1)).swapaxes(0, 1)
+        coarse = _halved(outward[::2, ::2])
         axis, sign = self._skin[direction].axis, self._skin[direction].sign
         cut = (outward - coarse) * np.abs(normal[:, axis]).reshape(outward.shape)
-        xyz = np.insert(grid, axis, sign * outward[::2, ::2], axis=2)
+        xyz = np.empty((*grid.shape[:2], 3))
+        xyz[..., [1 - axis, 2]], xyz[..., axis] = grid, sign * outward[::2, ::2]
         xyz += (lift + max(0.0, cut.max())) * normal.reshape(*outward.shape, 3)[::2, ::2]
         vertices, faces = sheet(xyz)
         return vertices, faces if direction == "front" else faces[:, ::-1]
 
 
-def _halved(values: Array) -> Array:
-    """Rows (R, …) with their midpoints between them (2R − 1, …)."""
-    fine = np.repeat(values, 2, axis=0)[:-1]
-    fine[1::2] = (values[:-1] + values[1:]) / 2
+def _halved(grid: Array) -> Array:
+    """A grid (R, C, …) with the middles of its cells and of their sides (2R − 1, 2C − 1, …)."""
+    rows, columns = grid.shape[:2]
+    fine = np.empty((2 * rows - 1, 2 * columns - 1, *grid.shape[2:]))
+    fine[::2, ::2] = grid
+    fine[1::2, ::2] = (grid[:-1] + grid[1:]) / 2
+    fine[:, 1::2] = (fine[:, :-2:2] + fine[:, 2::2]) / 2
     return fine
 
 
@@ -288,11 +292,14 @@ def _cap(section: Array) -> Array:
 
 def sheet(points: Array) -> Mesh:
     """The surface through a grid (R, C, 3); it faces column direction × row direction."""
-    rows, columns = points.shape[:2]
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
-    a = (i * columns + j).ravel()
+    return points.reshape(-1, 3), _sheet_faces(*points.shape[:2])
+
+
+@cache
+def _sheet_faces(rows: int, columns: int) -> Faces:
+    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     quads = np.stack([a, a + 1, a + columns + 1, a + columns], axis=1)
-    return points.reshape(-1, 3), quads_to_triangles(quads)
+    return quads_to_triangles(quads)
 
 
 def quad_grid(corners: ArrayLike, rows: int = 2, columns: int = 2) -> Array:

@@ -18,6 +18,7 @@ from simgen.recipe import SceneSpec
 from simgen.roads import Lane, at_station, offset_line, stations
 from simgen.signs import Rect
 from simgen.site import Site
+from simgen.vehicles import Vehicle
 
 BEHIND_M = -30.0
 """What stands further behind the rig is left out: neither seen nor casting a shadow in view."""
@@ -45,6 +46,8 @@ class Layout:
         self.zoom = zoom
         self.lights: list[Array] = []
         """(N, 3) world positions of lamps that burn at night"""
+        self.designs: dict[tuple[str, int], Vehicle] = {}
+        """of the scene's vehicles, by family and number: built when first met"""
 
     def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> Literal[0, 1, 2]:
         """Level of detail: 0 near the rig, 2 far away."""

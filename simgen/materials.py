@@ -18,6 +18,8 @@ class Material:
     """vertex: Part.color; metres: Part.uv on a repeating sheet; atlas: Part.uv in [0, 1]²;
     ground: the ortho maps of ground.py"""
     reflects: Literal["diffuse", "paint", "glass", "metal"] = "diffuse"
+    curved: bool = False
+    """whether Part.normals count"""
 
 
 FAR_SHEET_M = 60.0
@@ -31,12 +33,14 @@ MATERIALS: dict[str, Material] = {
     "wall_2": Material("metres"),
     "wall_3": Material("metres"),
     "roof": Material("metres"),
-    "bark": Material("metres"),
-    "matte": Material("vertex"),
+    "bark": Material("metres", curved=True),
+    "matte": Material("vertex", curved=True),
     "leaf": Material("vertex"),
-    "paint": Material("vertex", "paint"),
-    "metal": Material("vertex", "metal"),
-    "glass": Material("vertex", "glass"),  # opaque and mirror-like; flagged in flow_status
+    "paint": Material("vertex", "paint", curved=True),
+    "metal": Material("vertex", "metal", curved=True),
+    "glass": Material(
+        "vertex", "glass", curved=True
+    ),  # opaque and mirror-like; flagged in flow_status
     "sign": Material("atlas"),
-    "lamp": Material("vertex"),  # emits at night
+    "lamp": Material("vertex", curved=True),  # emits at night
 }

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +36,8 @@ class Part:
     """(V, 3) linear RGB albedo"""
     uv: NDArray[np.float32] | None = None
     """(V, 2): metres on the surface, or [0, 1]² for the sign atlas"""
+    normals: NDArray[np.float32] | None = None
+    """(V, 3) unit vectors that a curved surface is shaded with, see :func:`smooth`; None: flat"""
     instance: int = 0
     """0 = none; set when the model is placed"""
     emission: NDArray[np.float32] | None = None
@@ -82,15 +86,22 @@ def placed(
         y = np.cross(z, R[:, 0])
         y /= np.linalg.norm(y)
         R = np.stack([np.cross(y, z), y, z], axis=1)
-    offset = np.asarray(xyz, dtype=np.float64)
+    offset, size = np.asarray(xyz, dtype=np.float64), np.asarray(scale, dtype=np.float64)
     return [
-        replace(p, vertices=(p.vertices * np.asarray(scale)) @ R.T + offset, instance=instance)
+        replace(
+            p,
+            vertices=(p.vertices * size) @ R.T + offset,
+            normals=None if p.normals is None else _unit(p.normals / size) @ R.T,
+            instance=instance,
+        )
         for p in model
     ]
 
 
 def merged(parts: Sequence[Part]) -> Part:
     """One part from several of the same material, semantic class and instance."""
+    if any(p.normals is not None for p in parts):
+        parts = [flat(p) if p.normals is None else p for p in parts]
     first = parts[0]
     kinds = {(p.material, p.semantic, p.instance) for p in parts}
     if len(kinds) != 1:
@@ -102,6 +113,7 @@ def merged(parts: Sequence[Part]) -> Part:
         faces=np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=True)]),
         color=_concatenated([p.color for p in parts]),
         uv=_concatenated([p.uv for p in parts]),
+        normals=_concatenated([p.normals for p in parts]),
     )
 
 
@@ -113,23 +125,104 @@ def _concatenated(
     return np.concatenate([a for a in arrays if a is not None])
 
 
+def flat(p: Part) -> Part:
+    """The part as it is without normals, but with those of its faces: three corners for each."""
+    corners = p.faces.ravel()
+    normals = np.repeat(_unit(_face_normals(p.vertices, p.faces)), 3, axis=0)
+    return _at_corners(p, corners, np.arange(len(corners)).reshape(-1, 3), normals)
+
+
+def smooth(p: Part, crease_deg: float = 50.0) -> Part:
+    """The part with normals that run smoothly over all edges but creases.
+
+    A corner's normal is the mean, weighted by area, over the faces around its point that are
+    turned by less than ``crease_deg`` from its own; a vertex is split where normals differ.
+    """
+    corners = p.faces.ravel()
+    _, point = np.unique(_places(p.vertices)[corners], return_inverse=True)
+    by_area = np.repeat(_face_normals(p.vertices, p.faces), 3, axis=0)
+    own, mean = _unit(by_area), _unit(_sums(by_area, point))
+    cos_crease, cos_half = np.cos(np.deg2rad(crease_deg) / np.array([1, 2]))
+    torn = np.zeros(len(mean), dtype=bool)  # points where some faces might be too far apart
+    torn[point[np.einsum("ij,ij->i", own, mean[point]) < cos_half]] = True
+    normals = mean[point]
+    some = np.flatnonzero(torn[point])
+    mine, other = _meeting(point[some])
+    alike = np.einsum("ij,ij->i", own[some[mine]], own[some[other]]) > cos_crease
+    normals[some] = _unit(_sums(by_area[some[other[alike]]], mine[alike]))
+    steps = np.rint((normals + 1) * 2000).astype(np.int64) @ [1, 2**12, 2**24]
+    _, first, faces = np.unique(corners * 2**36 + steps, return_index=True, return_inverse=True)
+    return _at_corners(p, corners[first], faces.reshape(-1, 3), normals[first])
+
+
+def _sums(vectors: Vertices, group: NDArray[np.int64]) -> Vertices:
+    """The sum of the vectors (N, 3) of each group (N,)."""
+    return np.stack([np.bincount(group, v) for v in vectors.T], axis=1)
+
+
+def _at_corners(p: Part, pick: NDArray[np.int64], faces: Faces, normals: Vertices) -> Part:
+    """The part with picked vertices and new faces and normals."""
+    return replace(
+        p,
+        vertices=p.vertices[pick],
+        faces=faces,
+        color=None if p.color is None else p.color[pick],
+        uv=None if p.uv is None else p.uv[pick],
+        normals=normals.astype(np.float32),
+    )
+
+
+def _face_normals(vertices: Vertices, faces: Faces) -> Vertices:
+    """(F, 3), as long as twice the area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return _cross(b - a, c - a)
+
+
+def _cross(a: Vertices, b: Vertices) -> Vertices:
+    """Cross products (N, 3); np.cross is several times slower."""
+    (ux, uy, uz), (vx, vy, vz) = a.T, b.T
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
+
+
+def _unit(vectors: NDArray[np.floating]) -> Vertices:
+    """Unit vectors; up where there is no direction."""
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
+    return np.where(length > 0, vectors / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+
+
+def _places(vertices: Vertices) -> NDArray[np.int64]:
+    """(V,) a number for the place of each vertex, the same for equal places (to 0.1 mm or so)."""
+    low = vertices.min(axis=0)
+    step = max(1e-4, float((vertices - low).max()) / 2**20)
+    return np.asarray(np.rint((vertices - low) / step).astype(np.int64) @ [1, 2**21, 2**42])
+
+
+def _meeting(point: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """All ordered pairs of corners at the same point (C,), each with itself, too."""
+    _, group, count = np.unique(point, return_inverse=True, return_counts=True)
+    order = np.argsort(group, kind="stable")
+    start = np.cumsum(count) - count
+    partners = count[group]
+    mine = np.repeat(np.arange(len(point)), partners)
+    step = np.arange(len(mine)) - np.repeat(np.cumsum(partners) - partners, partners)
+    return mine, order[np.repeat(start[group], partners) + step]
+
+
 def box(size: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Vertices, Faces]:
     """An axis-aligned box with flat-shaded sides (24 vertices, 12 faces)."""
-    half = np.asarray(size, dtype=np.float64) / 2
-    vertices: list[Vertices] = []
-    faces: list[list[int]] = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            a, b = (axis + 1) % 3, (axis + 2) % 3
-            corners = np.zeros((4, 3))
-            corners[:, axis] = sign
-            corners[:, a] = [-1, 1, 1, -1]
-            corners[:, b] = [-1, -1, 1, 1]
-            order = [0, 1, 2, 3] if sign > 0 else [0, 3, 2, 1]
-            base = len(vertices) * 4
-            vertices.append(corners[order])
-            faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
-    return np.concatenate(vertices) * half + np.asarray(center), np.array(faces)
+    vertices, faces = _unit_box()
+    return vertices * np.asarray(size, dtype=np.float64) + np.asarray(center), faces
+
+
+@cache
+def _unit_box() -> tuple[Vertices, Faces]:
+    sides = []
+    for axis, sign in product(range(3), (-0.5, 0.5)):
+        corners = np.full((4, 3), sign)
+        corners[:, axis - 2] = [-0.5, 0.5, 0.5, -0.5]
+        corners[:, axis - 1] = [-0.5, -0.5, 0.5, 0.5]
+        sides.append(corners if sign > 0 else corners[[0, 3, 2, 1]])
+    return np.concatenate(sides), quads_to_triangles(np.arange(24).reshape(-1, 4))
 
 
 def tube(
@@ -138,28 +231,33 @@ def tube(
     """A round tube along a polyline ``path`` (N, 3); ``radius`` is one number or (N,) [m]."""
     p = np.asarray(path, dtype=np.float64)
     r = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(p),))
-    tangent = np.gradient(p, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = _unit(np.diff(p, axis=0)[[0, -1]] if len(p) == 2 else np.gradient(p, axis=0))
     helper = np.eye(3)[np.argmin(np.abs(tangent).max(axis=0))]  # least parallel to the path
-    u = np.cross(tangent, helper)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    w = np.cross(tangent, u)
-    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    ring = np.cos(angle)[None, :, None] * u[:, None] + np.sin(angle)[None, :, None] * w[:, None]
+    u = _unit(_cross(tangent, np.broadcast_to(helper, tangent.shape)))
+    w = _cross(tangent, u)
+    angle = np.arange(sides)[:, None] * (2 * np.pi / sides)
+    ring = np.cos(angle) * u[:, None] + np.sin(angle) * w[:, None]
     vertices = (p[:, None] + r[:, None, None] * ring).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(len(p) - 1), np.arange(sides), indexing="ij")
-    a, b = i * sides + j, i * sides + (j + 1) % sides
-    quads = np.stack([a, b, b + sides, a + sides], axis=-1).reshape(-1, 4)
-    faces = quads_to_triangles(quads)
     if caps:
-        n = len(vertices)
         vertices = np.concatenate([vertices, p[[0, -1]]])
-        k = np.arange(sides)
-        last = (len(p) - 1) * sides
-        start = np.stack([np.full(sides, n), (k + 1) % sides, k], axis=1)
-        end = np.stack([np.full(sides, n + 1), last + k, last + (k + 1) % sides], axis=1)
-        faces = np.concatenate([faces, start, end])
-    return vertices, faces
+    return vertices, _tube_faces(len(p), sides, caps)
+
+
+@cache
+def _tube_faces(rings: int, sides: int, caps: bool) -> Faces:
+    last, k = (rings - 1) * sides, np.arange(sides)
+    following = (k + 1) % sides
+    a = np.arange(0, last, sides)[:, None]
+    quads = np.stack(
+        np.broadcast_arrays(a + k, a + following, a + following + sides, a + k + sides), axis=-1
+    )
+    faces = quads_to_triangles(quads.reshape(-1, 4))
+    if not caps:
+        return faces
+    tip = np.full(sides, last + sides)
+    start = np.stack([tip, following, k], axis=1)
+    end = np.stack([tip + 1, last + k, last + following], axis=1)
+    return np.concatenate([faces, start, end])
 
 
 def loft(sections: ArrayLike, caps: bool = True) -> tuple[Vertices, Faces]:

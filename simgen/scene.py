@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simgen.materials import FAR_SHEET_FACTOR, FAR_SHEET_M, MATERIALS, Material
-from simgen.mesh import Part
+from simgen.mesh import Part, flat
 from simgen.sheets import Sheet, filtered
 
 
@@ -220,21 +220,27 @@ _NOWHERE = np.array([[0.0, 0.0, -900.0], [0.01, 0.0, -900.0], [0.0, 0.01, -900.0
 
 def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
     """Merges a slot's parts to one Mitsuba mesh; returns it with its vertices and faces."""
-    vertices, faces = _merged_geometry(slot.parts)
+    curved = slot.material.curved
+    parts = [flat(p) if curved and p.normals is None else p for p in slot.parts]
+    vertices, faces = _merged_geometry(parts)
     has_uv = slot.material.color_by != "vertex"
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(slot.bsdf)
     mesh = mi.Mesh(
-        slot.name, len(vertices), len(faces), has_vertex_texcoords=has_uv, props=properties
-    )
+        slot.name, len(vertices), len(faces), has_vertex_normals=curved,
+        has_vertex_texcoords=has_uv, props=properties,
+    )  # fmt: skip
     params = mi.traverse(mesh)
     params["vertex_positions"] = vertices.ravel()
     params["faces"] = faces.ravel()
     if has_uv:
-        params["vertex_texcoords"] = _attribute(slot.parts, "uv", 2).ravel()
+        params["vertex_texcoords"] = _attribute(parts, "uv", 2).ravel()
     params.update()
+    if curved:  # only now, since new positions bring normals of Mitsuba's own
+        params["vertex_normals"] = _attribute(parts, "normals", 3).ravel()
+        params.update()
     if not has_uv:
-        colors: Any = _attribute(slot.parts, "color", 3).ravel()
+        colors: Any = _attribute(parts, "color", 3).ravel()
         mesh.add_attribute("vertex_color", 3, colors)
     return mesh, vertices, faces
 

@@ -18,6 +18,7 @@ from simgen.mesh import (
     merged,
     part,
     quads_to_triangles,
+    smooth,
     tube,
 )
 from simgen.schema import LABELS
@@ -72,8 +73,11 @@ def bars(start: Array, end: Array, radius: float, sides: int = 3) -> tuple[Verti
 
 
 def assembled(parts: Sequence[Part]) -> Model:
-    """Parts of the same kind in one; each lamp stays on its own, see ``lamp_heads``."""
+    """Parts of the same kind in one; each lamp stays on its own, see ``lamp_heads``.
+
+    What is round is shaded so.
+    """
     kinds: dict[tuple[object, ...], list[Part]] = {}
     for i, p in enumerate(parts):
         kinds.setdefault((p.material, p.semantic, i if p.material == "lamp" else -1), []).append(p)
-    return [merged(same) for same in kinds.values()]
+    return [smooth(merged(same)) for same in kinds.values()]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,32 +14,38 @@ from simgen.mesh import Model
 from simgen.roads import Lane, at_station, stations
 from simgen.vehicles import Vehicle
 
-UNIQUE_WITHIN_M = 45.0
-"""Nearer to the rig every vehicle is built for its place; farther ones are models seen again."""
-FLEET_SIZE = 14
+NUM_DESIGNS = 10
+"""Designs of one scene, shared out among the families; each has at least one."""
 _NEVER_IN_BAYS = ("bus", "box_truck", "semi_trailer")
 
 
+@dataclass(frozen=True, eq=False)
 class _Fleet:
-    """Vehicles of one stream: fresh ones for near places, a stock of models for far ones."""
+    """What one stream of vehicles is drawn from.
 
-    def __init__(self, mix: Mapping[str, float], rng: np.random.Generator) -> None:
-        self.mix, self.rng = dict(mix), rng
-        self.stock: list[Vehicle] = []
+    As in a real street, models repeat and colours do not.
+    """
 
-    def draw(self, near: bool) -> Vehicle:
-        """A vehicle for a place."""
-        if near or len(self.stock) < FLEET_SIZE:
-            family = vehicles.draw_family(rng=self.rng, mix=self.mix)
-            self.stock.append(vehicles.build(family, rng=self.rng))
-            return self.stock[-1]
-        return self.stock[self.rng.integers(FLEET_SIZE)]
+    layout: Layout
+    mix: dict[str, float]
+    rng: np.random.Generator
+
+    def draw(self) -> Vehicle:
+        """A vehicle in colours of its own."""
+        family = vehicles.draw_family(rng=self.rng, mix=self.mix)
+        share = vehicles.FAMILIES[family].share
+        number = int(self.rng.integers(1 + round(NUM_DESIGNS * share)))
+        designs = self.layout.designs
+        if (family, number) not in designs:
+            own = self.layout.spec.stream(f"design {family} {number}")
+            designs[family, number] = vehicles.build(family, rng=own)
+        return designs[family, number].repainted(rng=self.rng)
 
 
 def moving(layout: Layout) -> Placed:
     """Vehicles in their lanes, with gaps of at least a second or so."""
     rng = layout.spec.stream("traffic")
-    fleet = _Fleet(layout.spec.families, rng)
+    fleet = _Fleet(layout, dict(layout.spec.families), rng)
     mean_gap = 1000.0 / max(layout.spec.moving_per_km, 0.1)
     for lane in layout.lanes:
         if lane.kind == "driving" and not lane.in_junction:
@@ -50,7 +57,7 @@ def parked(layout: Layout) -> Placed:
     """Vehicles in the bays of parking lanes."""
     rng = layout.spec.stream("parked")
     small = {k: v for k, v in layout.spec.families.items() if k not in _NEVER_IN_BAYS}
-    fleet = _Fleet(small, rng)
+    fleet = _Fleet(layout, small, rng)
     for lane in layout.lanes:
         if lane.kind == "parking" and not lane.in_junction:
             for s in np.arange(3.0 + BAY_M / 2, stations(lane.centre)[-1] - BAY_M, BAY_M):
@@ -76,7 +83,7 @@ def _vehicle(layout: Layout, lane: Lane, s: float, lateral: float, fleet: _Fleet
     xy = point[:2] + lateral * np.array([-along[1], along[0]])
     if not layout.in_view(xy):
         return []
-    vehicle = fleet.draw(near=bool(np.linalg.norm(xy - layout.rig_xy) < UNIQUE_WITHIN_M))
+    vehicle = fleet.draw()
     reach = vehicle.length / 2
     discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, 6)]
     if not layout.site.claim(discs):

@@ -29,7 +29,7 @@ from simgen.bodyshell import (
     sheet,
     tiled,
 )
-from simgen.mesh import Model, box, part, tube
+from simgen.mesh import Model, box, part, quads_to_triangles, smooth, tube
 
 Rgb = tuple[float, float, float]
 Rng = np.random.Generator
@@ -39,11 +39,11 @@ Finish = tuple[str, Rgb]
 
 
 class Piece(NamedTuple):
-    """A mesh of one finish."""
+    """A mesh of one material, with one colour or one (V, 3) for each vertex."""
 
     mesh: Mesh
     material: str
-    color: Rgb
+    color: Rgb | Array
 
 
 class LampPlace(NamedTuple):
@@ -60,6 +60,7 @@ PLATE_WHITE: Rgb = (0.70, 0.70, 0.68)
 PLATE_YELLOW: Rgb = (0.62, 0.45, 0.03)
 
 GLASS: Finish = ("glass", (0.03, 0.032, 0.034))
+PALE: Finish = ("glass", (0.22, 0.22, 0.21))
 RUBBER: Finish = ("matte", (0.025, 0.025, 0.026))
 PLASTIC: Finish = ("matte", (0.03, 0.03, 0.032))
 SEAM: Finish = ("matte", (0.012, 0.012, 0.012))
@@ -72,16 +73,18 @@ AMBER_LAMP: Finish = ("lamp", (0.55, 0.20, 0.01))
 
 
 def model_of(pieces: Iterable[Piece], semantic: int) -> Model:
-    """One part per material."""
+    """One part per material, smoothly shaded."""
     by_material: dict[str, list[Piece]] = {}
     for piece in pieces:
         by_material.setdefault(piece.material, []).append(piece)
     return [
-        part(
-            *joined([p.mesh for p in group]),
-            material,
-            semantic,
-            color=np.concatenate([np.tile(p.color, (len(p.mesh[0]), 1)) for p in group]),
+        smooth(
+            part(
+                *joined([p.mesh for p in group]),
+                material,
+                semantic,
+                color=np.concatenate([np.broadcast_to(p.color, p.mesh[0].shape) for p in group]),
+            )
         )
         for material, group in by_material.items()
     ]
@@ -225,7 +228,34 @@ def end_window(d: Dresser, direction: Direction, low_x: float, high_x: float) ->
     half_low = float(o.half_width_at(low_x, low)) - 0.1
     half_high = float(o.half_width_at(high_x, high)) - 0.1
     corners = [(-half_low, low), (half_low, low), (half_high, high), (-half_high, high)]
-    return d.patch(direction, quad_grid(corners, 4, 8), GLASS)
+    return cabin_pane(d, direction, quad_grid(corners, 6, 13), seats=(0.27, 0.73))
+
+
+def cabin_pane(
+    d: Dresser, direction: Direction, grid: Array, seats: Sequence[float], level: float = 0.45
+) -> Piece:
+    """Glass, which is opaque: painted with the light of the panes behind, and seats before it.
+
+    Args:
+        seats: places of the head rests along the pane, 0 to 1.
+        level: height of their tops in the pane, 0 to 1.
+    """
+    rows, columns = grid.shape[:2]
+    v, u = np.linspace(0, 1, rows)[:, None], np.linspace(0, 1, columns)
+    light = 0.012 + 0.05 * np.exp(-(((v - 0.6) / 0.3) ** 2)) * np.ones(columns)
+    for seat in seats:
+        rest = np.clip(1.6 - np.abs(u - seat) / 0.1, 0, 1) * np.clip(1.5 - v / level, 0, 1)
+        light = np.maximum(light * (1 - 0.8 * rest), 0.006)
+    color = light.reshape(-1, 1) * np.array([0.95, 1.0, 1.02])
+    return Piece(d.body.draped(direction, grid), GLASS[0], color)
+
+
+def wipers(d: Dresser, low_x: float) -> list[Piece]:
+    """Two wipers at rest above the lower edge of the windscreen at ``low_x``."""
+    z = float(d.outline.top_at(low_x)) + 0.05
+    half = float(d.outline.half_width_at(low_x, z)) - 0.2
+    arms = [np.linspace((a, z), (b, z + 0.03), 4) for a, b in ((0.0, -half), (half, 0.08))]
+    return [rod(d.body.draped("front", arm[None], 0.03)[0], 0.009, SEAM, sides=4) for arm in arms]
 
 
 def side_windows(
@@ -241,10 +271,10 @@ def side_windows(
     for front, rear in pairwise(pillars):
         x = np.linspace(d.x(rear) + 0.025, d.x(front) - 0.025, 24)
         x = x[o.rail_at(x) - o.belt_at(x) > sill + 0.075]
-        pane = band(np.linspace(x[0], x[-1], 5))
+        pane = band(np.linspace(x[0], x[-1], 7))
         if rear == pillars[-1]:
-            pane[..., 0] += lean * np.linspace(0, 1, 3)[:, None] * np.linspace(1, 0, 5)
-        pieces.append(d.patch("left", pane, GLASS))
+            pane[..., 0] += lean * np.linspace(0, 1, 3)[:, None] * np.linspace(1, 0, 7)
+        pieces.append(cabin_pane(d, "left", pane, seats=(0.3,), level=0.6))
     posts = [band(d.x(p) + np.array([-0.025, 0.025])) for p in pillars[1:-1]]
     return pieces + [d.patch("left", post, SEAM) for post in posts]
 
@@ -268,7 +298,7 @@ def side_mirror(d: Dresser, x: float, z: float, size: float, finish: Finish) -> 
     """An outside mirror on the left."""
     y = float(d.outline.half_width_at(x, z))
     profile = [(-0.05, 0.2), (0.1, 0.55), (1.0, 0.6), (1.25, 0.4), (1.3, 0.05)]
-    vertices, faces = lathe(np.array(profile) * size, 6)
+    vertices, faces = lathe(np.array(profile) * size, 8)
     housing = (vertices * [0.75, 1.0, 1.0] + [x, y, z + 0.4 * size], faces)
     glass_at = (x - 0.43 * size, y + 0.68 * size, z + 0.4 * size)
     return [
@@ -284,10 +314,10 @@ def lamp(d: Dresser, direction: Direction, place: LampPlace, bright: Finish) -> 
     low, high = place.low * d.height, place.high * d.height
     z = low + (high - low) * np.array([0.0, 0.12, 0.38, 0.88, 1.0])
     kind = np.zeros((4, 7), dtype=np.int64)
-    kind[1:3, 1:4] = 1
+    kind[1:3, [1, 3]], kind[2, 2] = 1, 1
     kind[1, 5] = 2
     if direction == "rear":
-        kind[2, 4:6] = 1
+        kind[1:3, 2], kind[2, 4:6] = 1, 1
     return d.tiles(direction, u, z, kind, (GLASS, bright, AMBER_LAMP))
 
 
@@ -300,16 +330,33 @@ def number_plate(d: Dresser, direction: Direction, z: float, color: Rgb, rng: Rn
 
 
 def plate_at(x: float, z: float, sign: int, color: Rgb, rng: Rng) -> list[Piece]:
-    """A number plate with dark blocks for characters; it faces ±x by ``sign``."""
-    edge = np.linspace(-0.23, 0.23, 9)[:, None] + rng.uniform(0.008, 0.018, (9, 1)) * [-1, 1]
-    edge = np.clip(edge, -0.245, 0.245)
-    gaps = np.stack([edge[:-1, 1], edge[1:, 0]], axis=1)  # a character fills each gap
-    gaps = np.delete(gaps, int(rng.integers(2, 6)), axis=0)
-    at = x + sign * 0.014
-    corners = [[(at, a, z - 0.038), (at, b, z - 0.038)] for a, b in gaps[:, ::sign]]
-    characters = [sheet(np.array([low, low + np.array([0, 0, 0.076])])) for low in corners]
+    """A number plate with text; it faces ±x by ``sign``."""
+    text = rng.choice(list(_GLYPHS), 7)
+    cell = np.array([0.047, 0.076])
+    left = -0.215 + 0.06 * np.arange(7) + 0.02 * (np.arange(7) > int(rng.integers(0, 5)))
+    strokes = np.concatenate([
+        _STROKES[list(_GLYPHS[glyph])] * [*cell, *cell] + [x0, z - 0.038, x0, z - 0.038]
+        for x0, glyph in zip(left, text, strict=True)
+    ])  # fmt: skip
+    u, v = strokes[:, [0, 2, 2, 0]] * sign, strokes[:, [1, 1, 3, 3]]
+    characters = np.stack([np.full_like(u, x + sign * 0.014), u, v], axis=-1).reshape(-1, 3)
+    faces = quads_to_triangles(np.arange(len(characters)).reshape(-1, 4))
     plate = block((0.012, 0.52, 0.112), (x + sign * 0.003, 0.0, z), ("matte", color))
-    return [plate, Piece(joined(characters), *SEAM)]
+    return [plate, Piece((characters, faces), *SEAM)]
+
+
+_STROKES = np.array([  # left, bottom, right, top in a cell of width and height 1
+    (0.0, 0.86, 1.0, 1.0), (0.0, 0.43, 1.0, 0.57), (0.0, 0.0, 1.0, 0.14), (0.0, 0.57, 0.24, 0.86),
+    (0.76, 0.57, 1.0, 0.86), (0.0, 0.14, 0.24, 0.43), (0.76, 0.14, 1.0, 0.43),
+])  # fmt: skip
+"""Level ones from the top down, then the upper two and the lower two upright ones."""
+_GLYPHS = {
+    "0": (0, 2, 3, 4, 5, 6), "2": (0, 1, 2, 4, 5), "3": (0, 1, 2, 4, 6), "4": (1, 3, 4, 6),
+    "5": (0, 1, 2, 3, 6), "6": (0, 1, 2, 3, 5, 6), "7": (0, 4, 6), "8": (0, 1, 2, 3, 4, 5, 6),
+    "9": (0, 1, 2, 3, 4, 6), "A": (0, 1, 3, 4, 5, 6), "C": (0, 2, 3, 5), "E": (0, 1, 2, 3, 5),
+    "F": (0, 1, 3, 5), "H": (1, 3, 4, 5, 6), "L": (2, 3, 5), "P": (0, 1, 3, 4, 5),
+    "U": (2, 3, 4, 5, 6),
+}  # fmt: skip
 
 
 def front_end(
@@ -322,11 +369,16 @@ def front_end(
     edges = low + slot * np.arange(1, bars + 1)[:, None] + [-0.009, 0.009]
     z = np.concatenate([[low], edges.ravel(), [high]])
     kind = (np.arange(len(z) - 1) % 2)[:, None]
-    intake = rectangle((-0.55 * d.half, 0.55 * d.half), (low - 0.24, low - 0.13), 2, 7)
+    mouth = [(-0.5, -0.25), (0.5, -0.25), (0.62, -0.13), (-0.62, -0.13)] * np.array([d.half, 1.0])
+    fog_lamp = rectangle((0.68 * d.half, 0.78 * d.half), (low - 0.2, low - 0.15))
+    shut_line = np.stack([np.linspace(-0.8, 0.8, 9) * d.half, np.full(9, high + 0.022)], axis=1)
+    badge = rectangle((-0.06, 0.06), (high - 0.8 * slot, high - 0.2 * slot))
     return [
-        *both_sides(lamp(d, "front", headlamp, WHITE_LAMP)),
+        *both_sides([*lamp(d, "front", headlamp, WHITE_LAMP), d.patch("front", fog_lamp, PALE)]),
         *d.tiles("front", np.linspace(-half, half, 7), z, kind, (SEAM, ALLOY)),
-        d.patch("front", intake, PLASTIC),
+        d.patch("front", quad_grid(mouth + np.array([0.0, low]), 3, 7), SEAM),
+        d.seam("front", shut_line),
+        Piece(d.body.draped("front", badge, 4 * LIFT_M), *ALLOY),
         *number_plate(d, "front", low - 0.06, PLATE_WHITE, rng),
     ]
 
@@ -343,6 +395,7 @@ def rear_end(d: Dresser, tail_lamp: LampPlace, rng: Rng) -> list[Piece]:
         *both_sides(lamp(d, "rear", tail_lamp, RED_LAMP)),
         d.patch("rear", apron, PLASTIC),
         d.seam("rear", seam),
+        d.patch("rear", rectangle((-0.07, 0.07), (between + 0.1, between + 0.13)), ALLOY),
         *number_plate(d, "rear", plate_z, plate, rng),
     ]
 
@@ -383,7 +436,7 @@ def destination(d: Dresser, rng: Rng) -> list[Piece]:
 # --- trucks ----------------------------------------------------------------------------------
 
 
-def cargo_box(x: Range, z: Range, width: float, colors: tuple[Rgb, Rgb], rng: Rng) -> list[Piece]:
+def cargo_box(x: Range, z: Range, width: float, colors: Sequence[Rgb], rng: Rng) -> list[Piece]:
     """A box body with posts and a livery on its sides, and two doors with rods at the rear."""
     (rear, front), (low, high) = x, z
     length, height = front - rear, high - low

@@ -6,14 +6,14 @@ every size. Frame and units: mesh.py; shells and draping: bodyshell.py; parts: v
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from simgen.bodyshell import Arch, Array, Outline, band_grid, shell
-from simgen.mesh import Model
+from simgen.mesh import Model, Part
 from simgen.motorcycle import motorcycle_pieces
 from simgen.schema import LABELS
 from simgen.vehicle_parts import (
@@ -48,9 +48,11 @@ from simgen.vehicle_parts import (
     skin,
     tail_board,
     twin_axle,
+    wipers,
 )
 
 Curve = tuple[tuple[float, float], ...]
+Paints = tuple[Rgb, ...]
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,14 @@ class Vehicle:
     width: float
     height: float
     family: str
+    paints: tuple[Rgb, ...]
+    """its colours of choice; all others belong to the design"""
+
+    def repainted(self, *, rng: Rng) -> Vehicle:
+        """The same design in newly drawn colours."""
+        paints = _drawn_paints(FAMILIES[self.family], rng)
+        recolored = dict(zip(self.paints, paints, strict=True))
+        return replace(self, model=[_recolored(p, recolored) for p in self.model], paints=paints)
 
 
 class Size(NamedTuple):
@@ -83,7 +93,7 @@ class Family:
     heights are shares of the height of the vehicle.
     """
 
-    assemble: Callable[[Family, Rng], tuple[Model, Size]]
+    assemble: Callable[[Family, Paints, Rng], tuple[Model, Size]]
     semantic: int
     share: float
     """of traffic"""
@@ -119,6 +129,8 @@ class Family:
     """how far nose and tail bulge"""
     cab_m: float = 0.0
     """length of the cab of a truck"""
+    fleet_paints: int = 0
+    """how many colours of FLEET_PAINTS it wears; 0: one of PAINTS"""
 
 
 # Paints by their share of new cars, linear albedo.
@@ -152,8 +164,10 @@ def build(family: str, *, rng: Rng) -> Vehicle:
     """
     if family not in FAMILIES:
         raise ValueError(f"vehicle family {family!r} is unknown; expected one of {list(FAMILIES)}")
-    model, size = FAMILIES[family].assemble(FAMILIES[family], rng)
-    return Vehicle(model, *size, family)
+    kind = FAMILIES[family]
+    paints = _drawn_paints(kind, rng)
+    model, size = kind.assemble(kind, paints, rng)
+    return Vehicle(model, *size, family, paints)
 
 
 def draw_family(*, rng: Rng, mix: dict[str, float] | None = None) -> str:
@@ -173,11 +187,26 @@ def draw_family(*, rng: Rng, mix: dict[str, float] | None = None) -> str:
     return names[rng.choice(len(names), p=[weights[n] / total for n in names])]
 
 
-def draw_paints(paints: tuple[tuple[float, Rgb], ...], num: int, *, rng: Rng) -> list[Rgb]:
-    """Different paints (share, colour) by their shares, each a little varied."""
+def _drawn_paints(family: Family, rng: Rng) -> Paints:
+    """Different paints by their shares, each a little varied."""
+    paints = FLEET_PAINTS if family.fleet_paints else PAINTS
     shares = np.array([share for share, _ in paints])
+    num = family.fleet_paints or 1
     drawn = rng.choice(len(paints), num, replace=False, p=shares / shares.sum())
-    return [_varied(paints[k][1], rng) for k in drawn]
+    return tuple(_varied(paints[k][1], rng) for k in drawn)
+
+
+_PAINTED = ("paint", "matte")
+
+
+def _recolored(part: Part, new: Mapping[Rgb, Rgb]) -> Part:
+    """The part with some of its colours exchanged."""
+    if part.color is None or part.material not in _PAINTED:
+        return part
+    color = part.color.copy()
+    for before, after in new.items():
+        color[(part.color == np.array(before, np.float32)).all(axis=1)] = after
+    return replace(part, color=color)
 
 
 def _varied(color: Rgb, rng: Rng) -> Rgb:
@@ -227,11 +256,11 @@ def _body_wheels(d: Dresser, width: float, spokes: int) -> list[Piece]:
     return [piece for pair in wheels for piece in pair]
 
 
-def _car(family: Family, rng: Rng) -> tuple[Model, Size]:
+def _car(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
     """Cars and vans."""
     size = _size(family, rng)
     d = _dresser(family, size, rng)
-    paint = ("paint", draw_paints(PAINTS, 1, rng=rng)[0])
+    paint = ("paint", paints[0])
     trim = PLASTIC if rng.uniform() < 0.6 or family.cladding_m > 0.06 else paint
     mirror_x = d.x(family.panes[0]) - 0.02
     mirror_z = float(d.outline.belt_at(mirror_x)) + 0.03
@@ -243,6 +272,7 @@ def _car(family: Family, rng: Rng) -> tuple[Model, Size]:
     pieces = [
         *skin(d.body, paint, trim),
         end_window(d, "front", *(d.x(f) for f in family.windscreen)),
+        *wipers(d, d.x(family.windscreen[0])),
         end_window(d, "rear", *(d.x(f) for f in reversed(family.rear_window))),
         *both_sides(left),
         *front_end(d, family.headlamp, family.grille, rng),
@@ -252,11 +282,11 @@ def _car(family: Family, rng: Rng) -> tuple[Model, Size]:
     return model_of(pieces, family.semantic), size
 
 
-def _bus(family: Family, rng: Rng) -> tuple[Model, Size]:
+def _bus(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
     """A city bus; its doors are on the right."""
     size = _size(family, rng)
     d = _dresser(family, size, rng)
-    paint, accent = (("paint", c) for c in draw_paints(FLEET_PAINTS, 2, rng=rng))
+    paint, accent = (("paint", c) for c in paints)
     pillars = np.linspace(0.025, 0.965, int(rng.integers(7, 9))).tolist()
     skirts = [
         d.patch("left", band_grid(x, d.outline.bottom_at(x, 0.12), 0.36 * size.height), accent)
@@ -282,9 +312,9 @@ def _bus(family: Family, rng: Rng) -> tuple[Model, Size]:
     return model_of(pieces, family.semantic), size
 
 
-def _cab(family: Family, d: Dresser, rng: Rng) -> list[Piece]:
+def _cab(family: Family, d: Dresser, color: Rgb, rng: Rng) -> list[Piece]:
     """The cab of a truck with its front wheels."""
-    paint = ("paint", draw_paints(FLEET_PAINTS, 1, rng=rng)[0])
+    paint = ("paint", color)
     roof = float(d.outline.top[:, 1].max())
     left = [
         *side_windows(d, family.panes),
@@ -294,23 +324,23 @@ def _cab(family: Family, d: Dresser, rng: Rng) -> list[Piece]:
     return [
         *skin(d.body, paint, PLASTIC),
         end_window(d, "front", *(d.x(f) for f in family.windscreen)),
+        *wipers(d, d.x(family.windscreen[0])),
         *both_sides(left),
         *front_end(d, family.headlamp, family.grille, rng),
         *_body_wheels(d, 0.3, 0),
     ]
 
 
-def _box_truck(family: Family, rng: Rng) -> tuple[Model, Size]:
+def _box_truck(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
     """A rigid truck: cab, chassis, box."""
     size = _size(family, rng)
     d = _dresser(family, size, rng)
     rear, floor, radius = 0.06 - size.length / 2, 0.32 * size.height, d.outline.arches[0].z
     drive = size.length * (0.5 - family.axles[1])
-    base, accent = draw_paints(FLEET_PAINTS, 2, rng=rng)
     cargo = (rear, d.tail - 0.12), (floor, size.height)
     pieces = [
-        *_cab(family, d, rng),
-        *cargo_box(*cargo, size.width, (base, accent), rng),
+        *_cab(family, d, paints[0], rng),
+        *cargo_box(*cargo, size.width, paints[1:], rng),
         chassis((rear + 0.1, d.tail + 0.1), floor),
         *side_guards((drive + radius + 0.3, d.tail - 0.4), size.width),
         *twin_axle(drive, size.width, radius),
@@ -319,7 +349,7 @@ def _box_truck(family: Family, rng: Rng) -> tuple[Model, Size]:
     return model_of(pieces, family.semantic), size
 
 
-def _semi_trailer(family: Family, rng: Rng) -> tuple[Model, Size]:
+def _semi_trailer(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
     """A tractor (truck) and its three-axle trailer (trailer)."""
     size = _size(family, rng)
     d = _dresser(family, size, rng)
@@ -329,15 +359,14 @@ def _semi_trailer(family: Family, rng: Rng) -> tuple[Model, Size]:
     tank = rod([(drive + 0.8, y, 0.65), (d.tail - 0.1, y, 0.65)], 0.32, STEEL, sides=10)
     leg = rod([(drive - 2.0, 0.8, 0.3), (drive - 2.0, 0.8, floor)], 0.06)
     tractor = [
-        *_cab(family, d, rng),
+        *_cab(family, d, paints[0], rng),
         chassis((drive - 0.9, d.tail + 0.1), 1.0),
         *twin_axle(drive, size.width, radius),
         *both_sides([tank]),
     ]
-    base, accent = draw_paints(FLEET_PAINTS, 2, rng=rng)
     cargo = (rear, d.tail - 0.55), (floor, size.height)
     trailer = [
-        *cargo_box(*cargo, size.width, (base, accent), rng),
+        *cargo_box(*cargo, size.width, paints[1:], rng),
         chassis((rear + 0.1, drive - 1.0), floor),
         *side_guards((rear + 5.5, drive - 2.2), size.width),
         *(p for x in (1.9, 3.2, 4.5) for p in twin_axle(rear + x, size.width, radius)),
@@ -347,7 +376,7 @@ def _semi_trailer(family: Family, rng: Rng) -> tuple[Model, Size]:
     return model_of(tractor, family.semantic) + model_of(trailer, LABELS["trailer"]), size
 
 
-def _motorcycle(family: Family, rng: Rng) -> tuple[Model, Size]:
+def _motorcycle(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
     """A parked motorcycle."""
     size = _size(family, rng)
     front, rear = (size.length * (0.5 - f) for f in family.axles)
@@ -356,7 +385,7 @@ def _motorcycle(family: Family, rng: Rng) -> tuple[Model, Size]:
         float(rng.uniform(*family.wheel_radius_m)),
         size.width,
         size.height,
-        ("paint", draw_paints(PAINTS, 1, rng=rng)[0]),
+        ("paint", paints[0]),
         lean_rad=float(np.deg2rad(rng.uniform(7, 11))),
     )
     return model_of(pieces, family.semantic), size
@@ -438,6 +467,7 @@ FAMILIES: dict[str, Family] = {
     ),
     "box_truck": Family(
         assemble=_box_truck, semantic=LABELS["truck"], share=0.05,
+        fleet_paints=3,
         length_m=(6.6, 9.2), width_m=(2.25, 2.5), height_m=(3.1, 3.7),
         axles=(0.16, 0.74), wheel_radius_m=(0.4, 0.47),
         top=((0, 0.33), (0.015, 0.40), (0.04, 0.45), (0.10, 0.60), (0.16, 0.70), (0.20, 0.74),
@@ -450,6 +480,7 @@ FAMILIES: dict[str, Family] = {
     ),
     "semi_trailer": Family(
         assemble=_semi_trailer, semantic=LABELS["truck"], share=0.05,
+        fleet_paints=3,
         length_m=(15.6, 16.6), width_m=(2.5, 2.55), height_m=(3.9, 4.0),
         axles=(0.087, 0.315), wheel_radius_m=(0.5, 0.52),
         top=((0, 0.38), (0.012, 0.45), (0.03, 0.50), (0.07, 0.62), (0.11, 0.72), (0.15, 0.765),
@@ -463,6 +494,7 @@ FAMILIES: dict[str, Family] = {
     ),
     "bus": Family(
         assemble=_bus, semantic=LABELS["bus"], share=0.03,
+        fleet_paints=2,
         length_m=(10.5, 12.2), width_m=(2.5, 2.55), height_m=(2.95, 3.2),
         axles=(0.23, 0.72), wheel_radius_m=(0.47, 0.5),
         top=((0, 0.5), (0.003, 0.65), (0.009, 0.80), (0.016, 0.89), (0.025, 0.95), (0.04, 0.985),
