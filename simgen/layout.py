@@ -7,8 +7,8 @@ The modules that place things (surroundings, traffic, planting, roadside) are fu
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from simgen.geometry import Array
 from simgen.mesh import Model, placed
 from simgen.recipe import SceneSpec
 from simgen.roads import Lane, at_station, offset_line, stations
+from simgen.schema import LABELS
 from simgen.signs import Rect
 from simgen.site import Site
 from simgen.vehicles import Vehicle
@@ -25,7 +26,31 @@ BEHIND_M = -30.0
 AHEAD_M = 430.0
 BESIDE_M = 260.0
 
-Placed = Iterator[Model]
+_NAMES = {label: name for name, label in LABELS.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """A model that can move, where it stands, and how fast it goes where it heads."""
+
+    model: Model
+    xyz: Array
+    heading_rad: float
+    speed_m_s: float
+    """0 = standing or parked"""
+
+    def record(self, instance: int) -> dict[str, Any]:
+        """Plain data, as the spec of a frame keeps it: see CONVENTIONS.md."""
+        return {
+            "instance": instance,
+            "class": _NAMES[min(p.semantic for p in self.model)],
+            "xyz": [round(float(x), 3) for x in self.xyz],
+            "heading_rad": round(self.heading_rad, 4),
+            "speed_m_s": round(self.speed_m_s, 2),
+        }
+
+
+Placed = Iterator[Model | Mover]
 
 
 class Layout:
@@ -72,6 +97,21 @@ class Layout:
         if np.isnan(ground):
             return []
         return placed(model, xyz=[xy[0], xy[1], ground], heading_rad=heading, normal=normal)
+
+    def mover(
+        self,
+        model: Model,
+        xy: Array,
+        heading: float,
+        speed_m_s: float,
+        *,
+        z: float | None = None,
+        normal: Array | None = None,
+    ) -> Mover:
+        """A model that can move, on the ground as by :meth:`stand`."""
+        ground = float(self.site.height(xy[:2])[0]) if z is None else z
+        standing = self.stand(model, xy, heading, z=ground, normal=normal)
+        return Mover(standing, np.array([xy[0], xy[1], ground]), heading, speed_m_s)
 
     def keep_clear_of_rig(self) -> None:
         """Nothing may stand within a car's length of the cameras."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import product
 
 import numpy as np
@@ -263,17 +263,22 @@ def _tube_faces(rings: int, sides: int, caps: bool) -> Faces:
 def loft(sections: ArrayLike, caps: bool = True) -> tuple[Vertices, Faces]:
     """Skins closed sections (N, M, 3), each an M-gon, counter-clockwise seen against the path."""
     s = np.asarray(sections, dtype=np.float64)
-    n, m = s.shape[:2]
+    return s.reshape(-1, 3), _loft_faces(*s.shape[:2], caps)
+
+
+@lru_cache(maxsize=512)
+def _loft_faces(n: int, m: int, caps: bool) -> Faces:
+    """Read-only faces between ``n`` sections of ``m`` corners; most lofts are alike."""
     i, j = np.meshgrid(np.arange(n - 1), np.arange(m), indexing="ij")
     a, b = i * m + j, i * m + (j + 1) % m
     faces = quads_to_triangles(np.stack([a, b, b + m, a + m], axis=-1).reshape(-1, 4))
-    vertices = s.reshape(-1, 3)
     if caps:
         k = np.arange(1, m - 1)
         start = np.stack([np.zeros_like(k), k + 1, k], axis=1)
         end = np.stack([np.zeros_like(k), k, k + 1], axis=1) + (n - 1) * m
         faces = np.concatenate([faces, start, end])
-    return vertices, faces
+    faces.flags.writeable = False
+    return faces
 
 
 def quads_to_triangles(quads: NDArray[np.int64]) -> Faces:

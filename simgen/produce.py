@@ -103,7 +103,7 @@ def make_frame(job: Job, index: int, attempt: int) -> tuple[dict[str, Any], dict
         **_cameras(plan),
         "frame_index": np.int64(plan.index),
         "scene_index": np.int64(plan.scene_index),
-        "spec": _spec_json(plan, job, exposures),
+        "spec": _spec_json(plan, job, exposures, loaded.movers),
     }
     del loaded
     free_memory()
@@ -213,7 +213,9 @@ def _cameras(plan: FramePlan) -> dict[str, Any]:
     }
 
 
-def _spec_json(plan: FramePlan, job: Job, exposures: list[sensor.Exposure]) -> dict[str, Any]:
+def _spec_json(
+    plan: FramePlan, job: Job, exposures: list[sensor.Exposure], movers: list[dict[str, Any]]
+) -> dict[str, Any]:
     """All that is needed to render the frame again."""
     sky = plan.spec.sky
     return {
@@ -230,6 +232,7 @@ def _spec_json(plan: FramePlan, job: Job, exposures: list[sensor.Exposure]) -> d
                 "perturbation_deg": job.rig.perturbation_deg, "hfov_deg": job.rig.hfov_deg},
         "T_world_vehicle": plan.drive.T_world_vehicle.tolist(),
         "scene": plan.spec.to_json(),
+        "movers": movers,
         "sensor": job.sensor,
         "exposure": [asdict(e) for e in exposures],
         "samples": {"spp": job.spp, "features_spp": render.FEATURE_SPP,

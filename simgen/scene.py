@@ -58,6 +58,8 @@ class World:
     """(H, W, 3) linear radiance, latitude–longitude, see daylight.py"""
     lamps: list[Lamp] = field(default_factory=list)
     """none by day; at night in order of importance"""
+    movers: list[dict[str, Any]] = field(default_factory=list)
+    """what can move, see layout.Mover.record"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +98,8 @@ class Scene:
     sky: NDArray[np.float32]
     """the environment map, see daylight.py"""
     glow: Glow
+    movers: list[dict[str, Any]]
+    """what can move, see layout.Mover.record"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +139,7 @@ def load(world: World, *, num_lamps: int) -> Scene:
         _face_table(slots, [(m[1], m[2]) for m in meshes]),
         world.sky,
         _glow(slots),
+        world.movers,
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from simgen import (
     ground,
     markings,
     night,
+    passers_by,
     planting,
     roads,
     roadside,
@@ -22,7 +24,7 @@ from simgen import (
     traffic,
 )
 from simgen.geometry import Array, rotation_from_vector, transform
-from simgen.layout import Layout, Placed
+from simgen.layout import Layout, Mover, Placed
 from simgen.mesh import Part
 from simgen.recipe import SceneSpec
 from simgen.roads import Network, at_station, stations
@@ -75,35 +77,40 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         surfaces = pool.submit(_sheets, spec)
         zoom = 1 / np.tan(optics.hfov_rad / 2)
         layout = Layout(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects, float(zoom))
-        parts = _place(layout)
+        parts, movers = _place(layout)
         lamps = night.lamps(layout, drive.T_world_vehicle) if daylight.is_night(spec.sky) else []
-        return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps)
+        return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps,
+                     movers)  # fmt: skip
 
 
 _STEPS: tuple[Callable[[Layout], Placed], ...] = (
-    surroundings.houses, traffic.moving, traffic.parked, roadside.signals, roadside.lamps,
-    roadside.signs, roadside.utility_poles, roadside.gantry, roadside.rails,
-    planting.street_trees, roadside.small_things, roadside.frontage, planting.trees,
-    planting.grass, surroundings.horizon,
+    surroundings.houses, traffic.moving, traffic.parked, passers_by.cyclists, roadside.signals,
+    roadside.lamps, roadside.signs, roadside.utility_poles, roadside.gantry, roadside.rails,
+    planting.street_trees, roadside.small_things, roadside.frontage, passers_by.bicycles,
+    passers_by.pedestrians, planting.trees, planting.grass, surroundings.horizon,
 )  # fmt: skip
 """In order of precedence: what comes first takes the place."""
 _STUFF = {LABELS[n] for n in ("terrain", "guard rail", "wall", "fence")}
 """Classes that cannot be counted: they have no instance."""
 
 
-def _place(layout: Layout) -> list[Part]:
-    """All objects, with instance ids from 1."""
+def _place(layout: Layout) -> tuple[list[Part], list[dict[str, Any]]]:
+    """All objects, with instance ids from 1, and the records of those that can move."""
     layout.keep_clear_of_rig()
     ids = count(1)
     parts: list[Part] = []
+    movers: list[dict[str, Any]] = []
     dark, rng = daylight.is_night(layout.spec.sky), layout.spec.stream("night")
     for step in _STEPS:
-        for model in step(layout):
-            if dark and step is not traffic.parked:
+        for thing in step(layout):
+            model = thing.model if isinstance(thing, Mover) else thing
+            if dark and step not in (traffic.parked, passers_by.bicycles):
                 model = night.glowing(model, rng=rng)
             instance = next(ids) if any(p.semantic not in _STUFF for p in model) else 0
             parts += [replace(p, instance=instance) for p in model]
-    return parts
+            if isinstance(thing, Mover):
+                movers.append(thing.record(instance))
+    return parts, movers
 
 
 WALL_KINDS = ("brick", "plaster", "concrete", "stone")

@@ -116,3 +116,16 @@ def test_lamps_burn_at_night_only():
     night = world.build(dark, world.drive(dark, 0), OPTICS)
     assert not day.lamps
     assert len(night.lamps) > 2
+
+
+def test_each_mover_is_the_instance_it_names(built):
+    scene, *_ = built
+    labels = defaultdict(set)
+    middle = {}
+    for p in scene.parts:
+        labels[p.instance].add(p.semantic)
+        middle.setdefault(p.instance, p.vertices[:, :2].mean(axis=0))
+    assert len({m["instance"] for m in scene.movers}) == len(scene.movers)
+    for mover in scene.movers:
+        assert LABELS[mover["class"]] in labels[mover["instance"]]
+        assert np.linalg.norm(middle[mover["instance"]] - mover["xyz"][:2]) < 9.0
