@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from simgen.errors import UserError
+from simgen.given_map import load as load_map
 from simgen.recipe import (
     DaylightTable,
     Recipe,
@@ -58,6 +60,10 @@ class RenderOptions:
     """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by shares"""
     daylight: str = ""
     """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); by shares"""
+    opendrive: Path | None = None
+    """an OpenDRIVE file (.xodr) to drive through instead of roads of our own: each scene starts
+    somewhere else on its driving lanes; lines, zebras, lights and signs are the file's, all else
+    is the recipe's. The set keeps a copy of the file"""
     split: Literal["all", "train", "test"] = "all"
     """render one side only; a scene is a test scene if its number is divisible by 10"""
     frames_per_scene: int = 1
@@ -96,6 +102,13 @@ class Job:
     flow: bool
     compression: str
     variant: str
+    opendrive: bytes = b""
+    """the map to drive through, as its file has it; empty for roads of our own"""
+
+    @property
+    def opendrive_sha256(self) -> str:
+        """Of the map; empty if there is none."""
+        return hashlib.sha256(self.opendrive).hexdigest() if self.opendrive else ""
 
     def content(self) -> dict[str, Any]:
         """Plain data, to be stored with the set and compared when it is continued."""
@@ -115,11 +128,12 @@ class Job:
             "flow": self.flow,
             "compression": self.compression,
             "variant": self.variant,
+            "opendrive": self.opendrive_sha256,
         }
 
     @classmethod
-    def from_content(cls, data: dict[str, Any]) -> Job:
-        """The inverse of :meth:`content`."""
+    def from_content(cls, data: dict[str, Any], opendrive: bytes = b"") -> Job:
+        """The inverse of :meth:`content`, which names a map by its hash only."""
         rig = {k: v for k, v in data["rig"].items() if k != "name"}
         return cls(
             seed=data["seed"],
@@ -136,6 +150,7 @@ class Job:
             flow=data["flow"],
             compression=data["compression"],
             variant=data["variant"],
+            opendrive=opendrive,
         )
 
 
@@ -165,6 +180,7 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         flow=options.flow,
         compression=options.compression,
         variant=variant,
+        opendrive=load_map(options.opendrive) if options.opendrive else b"",
     )
 
 

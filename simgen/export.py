@@ -17,7 +17,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from simgen import engine
+from simgen import engine, given_map
 from simgen.config import Job
 from simgen.errors import UserError
 from simgen.shards import Frame, ShardSet
@@ -30,7 +30,8 @@ def export_frame(folder: Path, index: int, to: Path) -> list[Path]:
     """
     frames = ShardSet(folder)
     frame = frames.frame(index)
-    job = Job.from_content(frames.manifest.config)
+    config = frames.manifest.config
+    job = Job.from_content(config, given_map.kept(folder, config["opendrive"]))
     radiances = _render_again(job, index, int(frame.spec["attempt"]))
     try:
         to.mkdir(parents=True, exist_ok=True)

@@ -127,7 +127,7 @@ def edges(layout: Layout) -> Iterator[tuple[Lane, Array]]:
         if not lane.in_junction and (key not in outermost or lane.rank > outermost[key].rank):
             outermost[key] = lane
     for lane in outermost.values():
-        yield lane, lane.offset(-lane.width / 2)
+        yield lane, lane.outer_edge
 
 
 def along(

@@ -10,10 +10,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from simgen.geometry import Array
 from simgen.recipe import RoadSpec
-from simgen.roads import MEDIAN_M, Lane, Network, at_station, offset_line, stations, strip
+from simgen.roads import MEDIAN_M, Given, Lane, Network, at_station, offset_line, stations, strip
 
 WHITE = (0.62, 0.62, 0.59)
 YELLOW = (0.55, 0.36, 0.06)
@@ -30,6 +31,8 @@ class Paint:
 
 def paint(network: Network, road: RoadSpec, *, rng: np.random.Generator) -> list[Paint]:
     """All paint of a network."""
+    if network.given is not None:
+        return list(_given(network.given))
     lanes = [lane for lane in network.lanes if not lane.in_junction]
     patches: list[Paint] = []
     for name in sorted({lane.road for lane in lanes}):
@@ -47,6 +50,41 @@ def piece(line: Array, start_m: float, end_m: float) -> Array:
     """The part of a polyline between two stations, about every metre."""
     num = max(2, int((end_m - start_m) / 1.0) + 1)
     return at_station(line, np.linspace(start_m, end_m, num))[0]
+
+
+# --- what a given map states ---------------------------------------------------------------------
+
+
+def _given(given: Given) -> Iterator[Paint]:
+    """Lines, zebras, and patches of paint such as stop lines."""
+    for line in given.lines:
+        color = YELLOW if line.yellow else WHITE
+        for stroke in _strokes(line.points, line.dash):
+            yield Paint(_band(stroke, line.width).outline, color)
+    for thing in given.things:
+        if thing.type == "crosswalk" and len(thing.outline) > 2:
+            yield from _zebra(thing.outline)
+        elif thing.type == "roadMark" and len(thing.outline) > 2:
+            yield Paint(thing.outline)
+
+
+def _strokes(line: Array, dash: tuple[float, float] | None) -> Iterator[Array]:
+    step, on = (25.0, 25.0) if dash is None else (sum(dash), dash[0])
+    end = stations(line)[-1]
+    for s in np.arange(0.0, end - 0.2, max(step, 0.1)):
+        yield piece(line, s, min(s + on, end))
+
+
+def _zebra(outline: Array) -> Iterator[Paint]:
+    """Bars half a metre wide across the shorter side of a crossing's rectangle."""
+    box = np.array(shapely.oriented_envelope(shapely.Polygon(outline)).exterior.coords)[:4]
+    if np.linalg.norm(box[1] - box[0]) < np.linalg.norm(box[2] - box[1]):
+        box = np.roll(box, 1, axis=0)
+    walk, bar = box[1] - box[0], box[2] - box[1]
+    length = float(np.linalg.norm(walk))
+    for k in range(max(1, round(length))):
+        first, last = (box[0] + walk * (k + f) / max(1, round(length)) for f in (0.25, 0.75))
+        yield Paint(np.array([first, last, last + bar, first + bar]))
 
 
 # --- lines along the road ------------------------------------------------------------------------

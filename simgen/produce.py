@@ -79,7 +79,8 @@ def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:
     """Draws the scene and poses the rig in it."""
     scene_index = scene_of(index, job.frames_per_scene)
     spec = draw_spec(job, scene_index, attempt)
-    drive = world.drive(spec, index - scene_index * job.frames_per_scene)
+    step = index - scene_index * job.frames_per_scene
+    drive = world.drive(spec, step, job.opendrive)
     rng = stream(job.seed, index, attempt, "rig")
     posed = pose(job.rig, drive.T_world_vehicle, job.wh, rng=rng)
     return FramePlan(index, attempt, scene_index, spec, drive, posed)
@@ -233,6 +234,7 @@ def _spec_json(
         "T_world_vehicle": plan.drive.T_world_vehicle.tolist(),
         "scene": plan.spec.to_json(),
         "movers": movers,
+        "opendrive": job.opendrive_sha256,
         "sensor": job.sensor,
         "exposure": [asdict(e) for e in exposures],
         "samples": {"spp": job.spp, "features_spp": render.FEATURE_SPP,

@@ -22,7 +22,7 @@ from rich.progress import (
     Progress as Bar,
 )
 
-from simgen import __version__, engine, run
+from simgen import __version__, engine, given_map, run
 from simgen.config import Job, RenderOptions, resolve
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
@@ -74,6 +74,7 @@ def render(options: RenderOptions) -> int:
     run.check_disk(options.out, missing * estimate.bytes_per_frame, force=options.force)
     with folder.locked():
         manifest = folder.open_manifest(job.content(), options.frames_per_shard, options.n)
+        given_map.keep(job.opendrive, options.out)
         threads = max(1, (os.cpu_count() or 1) // options.workers)
         pool = run.Pool(_render_one(), _start_worker(), (chosen, threads), options.workers,
                         options.recycle)  # fmt: skip

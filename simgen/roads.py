@@ -3,14 +3,15 @@
 Nothing of roadgen's types leaves it. The network frame is the scene's world: x east, y north,
 z up, metres, moved and turned once so that the rig's lane passes the origin along +x.
 
-The main road runs from behind the rig through up to two junctions; side roads leave them.
+The main road runs from behind the rig through up to two junctions; side roads leave them. A map
+that somebody else drew may take the place of all that: see ``opendrive.py``.
 """
 
 from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,9 @@ import numpy as np
 import roadgen
 from numpy.typing import NDArray
 
+from simgen import alignment, given_map, opendrive
 from simgen.buildings import Massing
+from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.recipe import RoadSpec, SceneSpec
 
@@ -31,6 +34,8 @@ MEDIAN_M = 3.0
 KERB_M = 0.13
 """Pavements are lifted by this when the mesh is made; lanes know nothing of it."""
 LAND_MARGIN_M = 520.0
+GIVEN_LAND_MARGIN_M = 720.0
+"""around a map that somebody else drew: the rig may stand where it ends"""
 
 SURFACES = ("road", "sidewalk", "terrain")
 
@@ -50,10 +55,17 @@ class Lane:
     """(N, 3)"""
     width: float
     in_junction: bool
+    widening: Array | float = 0.0
+    """(N,) by how much it is wider than ``width`` at the points of ``centre``"""
 
     def offset(self, metres: float) -> Array:
         """The centre line (N, 3) shifted to the left [m]."""
         return offset_line(self.centre, metres)
+
+    @property
+    def outer_edge(self) -> Array:
+        """(N, 3)"""
+        return offset_line(self.centre, -0.5 * (self.width + self.widening))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +74,14 @@ class Surface:
 
     vertices: Array
     faces: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a map that somebody else drew states beside its lanes."""
+
+    lines: list[alignment.Line]
+    things: list[alignment.Placed]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +98,8 @@ class Network:
     rig_lane: Lane
     """the lane that the rig drives in; its origin station is ``rig_station``"""
     rig_station: float
+    given: Given | None = None
+    """of a map that somebody else drew: it takes the place of our own markings and signals"""
 
     @property
     def driving(self) -> list[Lane]:
@@ -85,8 +107,10 @@ class Network:
         return [lane for lane in self.lanes if lane.kind == "driving" and not lane.in_junction]
 
 
-def build(spec: SceneSpec) -> Network:
-    """Builds the network of a scene."""
+def build(spec: SceneSpec, opendrive_map: bytes = b"") -> Network:
+    """Builds the network of a scene; ``opendrive_map`` is an OpenDRIVE file to drive through."""
+    if opendrive_map:
+        return _moved(_read_given(opendrive_map, spec))
     plan = _Plan(spec)
     raw = _read(plan, spec)
     lane, station = _choose_rig_lane(raw, spec, rng=spec.stream("rig lane"))
@@ -116,11 +140,11 @@ def line_headings(line: Array) -> Array:
     return np.arctan2(tangent[:, 1], tangent[:, 0])
 
 
-def offset_line(line: Array, metres: float) -> Array:
-    """A polyline (N, 3) shifted horizontally to its left [m]."""
+def offset_line(line: Array, metres: Array | float) -> Array:
+    """A polyline (N, 3) shifted horizontally to its left [m], by one number or by (N,)."""
     heading = line_headings(line)
     normal = np.stack([-np.sin(heading), np.cos(heading), np.zeros_like(heading)], axis=1)
-    return line + metres * normal
+    return line + np.multiply(metres, normal.T).T
 
 
 def strip(line: Array, left_m: float, right_m: float) -> Array:
@@ -251,24 +275,30 @@ def _cross_section(road: RoadSpec) -> list[Any]:
 
 
 def _read(plan: _Plan, spec: SceneSpec) -> Network:
-    road_map = plan.map
+    surfaces = _land(plan.map, spec, LAND_MARGIN_M, rng=plan.rng)
+    lanes = list(_read_lanes(plan.map, plan.lanes))
+    return Network(
+        lanes=lanes, surfaces=surfaces, buildings=_read_buildings(plan.map, spec),
+        junctions=plan.junctions, rig_lane=lanes[0], rig_station=0.0,
+    )  # fmt: skip
+
+
+def _land(
+    road_map: Any, spec: SceneSpec, margin: float, *, rng: np.random.Generator
+) -> dict[str, Surface]:
+    """Puts land and buildings around the roads of a map; returns its ground."""
     road_map.generate_land(
-        relief=max(0.05, spec.road.relief_m), cell=12.0, margin=LAND_MARGIN_M,
-        wavelength=float(plan.rng.uniform(120.0, 320.0)), seed=int(plan.rng.integers(1 << 31)),
+        relief=max(0.05, spec.road.relief_m), cell=12.0, margin=margin,
+        wavelength=float(rng.uniform(120.0, 320.0)), seed=int(rng.integers(1 << 31)),
     )  # fmt: skip
     if spec.building_rules != "none":
         road_map.generate_buildings(
-            rules=roadgen.building_rules(spec.building_rules), seed=int(plan.rng.integers(1 << 31))
+            rules=roadgen.building_rules(spec.building_rules), seed=int(rng.integers(1 << 31))
         )
     with tempfile.TemporaryDirectory(prefix="simgen-") as folder:
         files = road_map.export_carla(folder, name="Scene", buildings="omitted",
                                        kerb_height=KERB_M, trace=False)  # fmt: skip
-        surfaces = _read_surfaces(Path(files["obj"]))
-    lanes = list(_read_lanes(road_map, plan.lanes))
-    return Network(
-        lanes=lanes, surfaces=surfaces, buildings=_read_buildings(road_map, spec),
-        junctions=plan.junctions, rig_lane=lanes[0], rig_station=0.0,
-    )  # fmt: skip
+        return _read_surfaces(Path(files["obj"]))
 
 
 def _read_lanes(road_map: Any, cross_section: list[Any]) -> Iterable[Lane]:
@@ -374,6 +404,75 @@ def resampled_2d(line: Array) -> Array:
     return resampled(np.column_stack([line, np.zeros(len(line))]), 2.0)[:, :2]
 
 
+# --- a map that somebody else drew ---------------------------------------------------------------
+
+REACH_M = 650.0
+"""Roads that come no nearer to the rig are left out."""
+
+
+def _read_given(data: bytes, spec: SceneSpec) -> Network:
+    """The part of an OpenDRIVE map around a place drawn for the rig."""
+    start, station = _choose_start(given_map.starts(data), spec, rng=spec.stream("rig lane"))
+    origin = at_station(start.centre, station)[0] * [1.0, 1.0, 0.0]
+    near = {x.road for x in given_map.all_strips(data) if _reaches(x.centre, origin)}
+    roads = [alignment.moved(r, origin) for r in opendrive.read(data) if r.id in near]
+    road_map = _parsed(given_map.canonical(data, near, origin, spec.road.kind))
+    surfaces = _land(road_map, spec, GIVEN_LAND_MARGIN_M, rng=spec.stream("roads"))
+    lanes = [_given_lane(strip) for road in roads for strip in alignment.strips(road)]
+    rig_lane = replace(_given_lane(start.strip), centre=start.centre - origin, widening=0.0)
+    return Network(
+        lanes=lanes, surfaces=surfaces, buildings=_read_buildings(road_map, spec), junctions=[],
+        rig_lane=rig_lane, rig_station=station,
+        given=Given([line for road in roads if road.junction == "-1"
+                     for line in alignment.lines(road)],
+                    [thing for road in roads for thing in alignment.things(road)]),
+    )  # fmt: skip
+
+
+def _choose_start(
+    starts: Sequence[given_map.Start], spec: SceneSpec, *, rng: np.random.Generator
+) -> tuple[given_map.Start, float]:
+    """A place anywhere on the map's driving lanes, and its station."""
+    if spec.rig_lane == "right":
+        outermost: dict[tuple[str, int, bool], given_map.Start] = {}
+        for start in sorted(starts, key=lambda x: abs(x.strip.number)):
+            strip = start.strip
+            outermost[strip.road, strip.section, strip.number > 0] = start
+        starts = list(outermost.values())
+    usable = np.array([x.usable_m for x in starts])
+    start = starts[rng.choice(len(starts), p=usable / usable.sum())]
+    return start, float(rng.uniform(0.0, start.usable_m))
+
+
+def _reaches(line: Array, xyz: Array) -> bool:
+    return bool(np.linalg.norm(line[:, :2] - xyz[:2], axis=1).min() < REACH_M)
+
+
+def _parsed(text: str) -> Any:
+    with tempfile.TemporaryDirectory(prefix="simgen-") as folder:
+        path = Path(folder) / "near.xodr"
+        path.write_text(text, encoding="utf-8")
+        try:
+            return roadgen.read_opendrive(str(path), sampling=alignment.STEP_M)
+        except ValueError as error:
+            reason = str(error).splitlines()[0]
+            raise UserError(f"no surfaces can be made of its roads: {reason}.") from error
+
+
+def _given_lane(strip: alignment.Strip) -> Lane:
+    width = float(strip.widths.mean())
+    return Lane(
+        road=f"road/{strip.road}/{strip.section}",
+        kind=strip.kind,
+        side="left" if strip.number > 0 else "right",
+        rank=abs(strip.number) - 1,
+        centre=strip.centre,
+        width=width,
+        in_junction=strip.junction != "-1",
+        widening=strip.widths - width,
+    )
+
+
 # --- the rig's place -----------------------------------------------------------------------------
 
 
@@ -403,12 +502,22 @@ def _moved(network: Network) -> Network:
         return replace(m, footprint=footprint, base_z=m.base_z - point[2],
                        ridge_rad=m.ridge_rad - float(heading))  # fmt: skip
 
-    lanes = {id(lane): replace(lane, centre=move(lane.centre)) for lane in network.lanes}
+    def move_lane(lane: Lane) -> Lane:
+        return replace(lane, centre=move(lane.centre))
+
+    def move_given(given: Given) -> Given:
+        return Given(
+            [replace(x, points=move(x.points)) for x in given.lines],
+            [replace(x, xyz=move(x.xyz[None])[0], heading=x.heading - float(heading),
+                     outline=(x.outline - point[:2]) @ R.T) for x in given.things],
+        )  # fmt: skip
+
     return replace(
         network,
-        lanes=list(lanes.values()),
+        lanes=[move_lane(lane) for lane in network.lanes],
         surfaces={k: Surface(move(v.vertices), v.faces) for k, v in network.surfaces.items()},
         buildings=[[move_massing(m) for m in parts] for parts in network.buildings],
         junctions=[move(j[None])[0] for j in network.junctions],
-        rig_lane=lanes[id(network.rig_lane)],
+        rig_lane=move_lane(network.rig_lane),
+        given=network.given and move_given(network.given),
     )

@@ -6,11 +6,11 @@ the right of its outermost lane.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from simgen import barriers, furniture, pavement, vegetation
+from simgen import alignment, barriers, furniture, pavement, vegetation
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model
@@ -50,8 +50,12 @@ def lamps(layout: Layout) -> Placed:
 
 
 def signals(layout: Layout) -> Placed:
-    """Signals at the stop lines of town crossings."""
+    """Signals at the stop lines of town crossings, or where a given map has them."""
     rng = layout.spec.stream("signals")
+    given = layout.site.network.given
+    if given is not None:
+        yield from _given_signals(layout, given.things, rng)
+        return
     if layout.spec.road.kind != "town" or layout.spec.road.junction != "cross":
         return
     for lane, line in edges(layout):
@@ -63,6 +67,33 @@ def signals(layout: Layout) -> Placed:
                 reach = float(rng.choice([0.0, 4.5]))
                 model = furniture.traffic_signal(state, rng=rng, reach_m=reach)
                 yield _stands(layout, model, point, float(heading) + np.pi)
+
+
+_LIGHTS = ("1000001", "1000009", "1000010", "1000011", "1000012")
+"""signal types of lights for vehicles"""
+_PLATES = {"205": "yield", "206": "stop", "267": "no_entry", "283": "no_parking",
+           "301": "priority", "306": "priority", "350": "crossing"}  # fmt: skip
+"""signs by their German numbers, which maps use for all countries"""
+
+
+def _given_signals(
+    layout: Layout, things: Sequence[alignment.Placed], rng: np.random.Generator
+) -> Placed:
+    """Lights and signs beside the road; those over it hang from what the map does not tell."""
+    for thing in things:
+        usable = thing.tag == "signal" and layout.in_view(thing.xyz)
+        if not usable or not layout.site.clear_of(thing.xyz[:2], road=0.0, pavement=-1,
+                                                  buildings=0.1)[0]:  # fmt: skip
+            continue
+        facing = thing.heading + np.pi
+        plate = f"limit_{thing.value}" if thing.type == "274" else _PLATES.get(thing.type, "")
+        if thing.type in _LIGHTS:
+            state = list(furniture.LENSES)[rng.integers(len(furniture.LENSES))]
+            signal = furniture.traffic_signal(state, rng=rng, reach_m=0.0)
+            yield _stands(layout, signal, thing.xyz, facing)
+        elif plate in layout.sign_rects:
+            sign = furniture.traffic_sign(layout.sign_rects, plate, rng=rng)
+            yield _stands(layout, sign, thing.xyz, facing)
 
 
 _SIGNS = {

@@ -46,9 +46,9 @@ class Drive:
     """(4, 4): x forward, y left, z up, origin on the road below the rig"""
 
 
-def drive(spec: SceneSpec, step: int) -> Drive:
+def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"") -> Drive:
     """The road network and where the rig is at frame ``step`` of the scene."""
-    network = roads.build(spec)
+    network = roads.build(spec, opendrive_map)
     rng = spec.stream(f"pose {step}")
     lane = network.rig_lane
     s = min(network.rig_station + FRAME_STEP_M * step, stations(lane.centre)[-1] - 4.0)

@@ -1,0 +1,222 @@
+"""A map that somebody else drew, as the file of a set: where to drive in it, and which part counts.
+
+The file's bytes travel with the job; a set keeps a copy, and its config names it by its sha256.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from simgen.alignment import Strip, strips
+from simgen.errors import UserError
+from simgen.geometry import Array
+from simgen.opendrive import COEFFICIENTS, Element, lane_shape, parsed, read
+
+MAX_BYTES = 64 << 20
+SIGHT_M = 50.0
+"""The rig is put where its lane goes on for at least so long."""
+DRIVE_M = 400.0
+"""A drive is followed over so much of the lanes ahead."""
+
+
+# --- the file ------------------------------------------------------------------------------------
+
+
+def load(path: Path) -> bytes:
+    """The bytes of a map; UserError if it is not one that can be driven on."""
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= MAX_BYTES else b""
+    except OSError as error:
+        raise UserError(f"--opendrive {path}: cannot be read ({error.strerror}).") from error
+    if size > MAX_BYTES:
+        raise UserError(
+            f"--opendrive {path}: {size >> 20} MB; expected at most {MAX_BYTES >> 20} MB. Cut the "
+            "map down to the roads that are to be driven on."
+        )
+    try:
+        starts(data)
+    except UserError as error:
+        raise UserError(f"--opendrive {path}: {error}") from error
+    return data
+
+
+COPY = "map.xodr"
+"""A set's own copy of the map that it drives through."""
+
+
+def keep(data: bytes, folder: Path) -> None:
+    """Puts a copy of the map, if there is one, into the folder of a set."""
+    if data:
+        temporary = folder / f".{COPY}.tmp"
+        temporary.write_bytes(data)
+        os.replace(temporary, folder / COPY)
+
+
+def kept(folder: Path, sha256: str) -> bytes:
+    """The map of a set; empty if it has none, UserError if its copy is gone or changed."""
+    if not sha256:
+        return b""
+    path = folder / COPY
+    data = path.read_bytes() if path.is_file() else b""
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise UserError(
+            f"{path}: expected the map that the set was rendered from (sha256 {sha256[:12]}…), "
+            f"found {'another one' if data else 'nothing'}. Put the original there."
+        )
+    return data
+
+
+# --- where one can drive -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A driving lane outside junctions, followed over the lanes that go on from it."""
+
+    strip: Strip
+    centre: Array
+    """(N, 3)"""
+    usable_m: float
+    """the rig may start in this first part"""
+
+
+@lru_cache(maxsize=2)
+def all_strips(data: bytes) -> tuple[Strip, ...]:
+    """The paved lanes of a map."""
+    return tuple(strip for road in read(data) for strip in strips(road))
+
+
+@lru_cache(maxsize=2)
+def starts(data: bytes) -> tuple[Start, ...]:
+    """Where a drive can begin; UserError if no lane is long enough."""
+    driving = [x for x in all_strips(data) if x.kind == "driving"]
+    firsts = np.array([x.centre[0] for x in driving])
+    found = []
+    for strip in driving:
+        if strip.junction == "-1":
+            centre = _followed(strip, driving, firsts)
+            usable = min(_length(strip.centre), _length(centre) - SIGHT_M)
+            if usable > 0:
+                found.append(Start(strip, centre, usable))
+    if not found:
+        raise UserError(
+            f"too short to drive on: no driving lane goes on for {SIGHT_M:g} m, the next lanes "
+            "that it leads to included."
+        )
+    return tuple(found)
+
+
+def _followed(strip: Strip, driving: Sequence[Strip], firsts: Array) -> Array:
+    """The lane's line with those that begin where it ends, the straightest way, for DRIVE_M."""
+    line, taken = strip.centre, set[int]()
+    while _length(line) < DRIVE_M:
+        heading = _heading(line[-2:])
+        touching = set(np.flatnonzero(np.linalg.norm(firsts - line[-1], axis=1) < 0.3).tolist())
+        bends = {
+            k: _turn(heading, driving[k].centre[-2:])
+            for k in touching - taken
+            if _turn(heading, driving[k].centre[:2]) < 0.2
+        }
+        if not bends:
+            break
+        best = min(bends, key=lambda k: bends[k])
+        taken.add(best)
+        line = np.concatenate([line, driving[best].centre[1:]])
+    return line
+
+
+def _length(line: Array) -> float:
+    return float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum())
+
+
+def _heading(line: Array) -> float:
+    return float(np.arctan2(line[-1, 1] - line[0, 1], line[-1, 0] - line[0, 0]))
+
+
+def _turn(heading: float, line: Array) -> float:
+    """The angle from a heading to that of a line, whichever way round."""
+    difference = _heading(line) - heading
+    return float(abs(np.arctan2(np.sin(difference), np.cos(difference))))
+
+
+# --- writing back --------------------------------------------------------------------------------
+
+_KEPT: dict[str, tuple[str, ...]] = {
+    "road": ("name", "length", "id", "junction"),
+    "link": (), "planView": (), "line": (), "lanes": (), "left": (), "center": (), "right": (),
+    "elevationProfile": (), "elevation": ("s", *"abcd"), "laneOffset": ("s", *"abcd"),
+    "predecessor": ("elementType", "elementId", "contactPoint", "id"),
+    "successor": ("elementType", "elementId", "contactPoint", "id"),
+    "geometry": ("s", "x", "y", "hdg", "length"), "arc": ("curvature",),
+    "spiral": ("curvStart", "curvEnd"), "poly3": tuple("abcd"),
+    "paramPoly3": (*COEFFICIENTS["paramPoly3"], "pRange"),
+    "laneSection": ("s",), "lane": ("id", "type"), "width": ("sOffset", *"abcd"),
+    "junction": ("name", "id"), "laneLink": ("from", "to"),
+    "connection": ("id", "incomingRoad", "connectingRoad", "contactPoint"),
+}  # fmt: skip
+"""Elements and attributes that decide surfaces."""
+
+
+def canonical(data: bytes, kept: set[str], origin: Array, kind: str) -> str:
+    """The map again with the ``kept`` roads only, in a frame with its origin at ``origin``.
+
+    ``kind`` is the road type (town, rural, motorway) that all roads get.
+    """
+    root = ElementTree.Element("OpenDRIVE")
+    ElementTree.SubElement(root, "header", revMajor="1", revMinor="4", name="given")
+    for element in parsed(data):
+        if element.tag == "road" and element.get("id", "") in kept:
+            road = _copied(element)
+            road.insert(1, ElementTree.Element("type", s="0", type=kind))
+            root.append(road)
+        elif element.tag == "junction":
+            junction = _copied(element)
+            for c in list(junction):
+                if not {c.get("incomingRoad"), c.get("connectingRoad")} <= kept:
+                    junction.remove(c)
+            if len(junction):
+                root.append(junction)
+    _mend(root, origin)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _copied(element: Element) -> Element:
+    """The understood part of an element."""
+    names = _KEPT[element.tag]
+    stated = {k: element.attrib[k] for k in names if k in element.attrib}
+    copy = ElementTree.Element(element.tag, stated)
+    copy.extend(_copied(child) for child in element if child.tag in _KEPT)
+    return copy
+
+
+_WRITTEN_TYPE: dict[str | None, str] = {None: "none", "median": "shoulder"}
+
+
+def _mend(root: Element, origin: Array) -> None:
+    """Moves the origin, names lane types simply, and cuts links to what is not there."""
+    present = {(e.tag, e.get("id")) for e in root}
+    for g in root.iter("geometry"):
+        for axis, shift in zip("xy", origin, strict=False):
+            g.set(axis, repr(float(g.attrib[axis]) - float(shift)))
+    for road in root.iter("road"):
+        *_, last = road.iterfind("planView/geometry")
+        road.set("length", repr(float(last.attrib["s"]) + float(last.attrib["length"])))
+    for lane in root.iter("lane"):
+        kind = lane_shape(lane).kind
+        lane.set("type", _WRITTEN_TYPE.get(kind, str(kind)))
+    for road in root.iter("road"):
+        if ("junction", road.get("junction")) not in present:
+            road.set("junction", "-1")
+        for link in road.findall("link"):
+            for end in list(link):
+                if (end.get("elementType"), end.get("elementId")) not in present:
+                    link.remove(end)
