@@ -135,6 +135,22 @@ def noise_wall(path: ArrayLike, *, rng: np.random.Generator, height_m: float = 3
     return merged([*planks, _repeated(post, points, _upright(left), rng=rng)])
 
 
+def hoarding(path: ArrayLike, *, rng: np.random.Generator, height_m: float = 2.3) -> Part:
+    """Boards of painted plywood or ribbed sheet around a building site, with a stripe."""
+    tones = ((0.5, 0.5, 0.48), (0.06, 0.1, 0.2), (0.3, 0.2, 0.1), (0.08, 0.16, 0.1))
+    tone = np.array(tones[rng.integers(len(tones))])
+    board = [block((0.99, 0.03, height_m), (0, 0, height_m / 2 - 0.1), tone, FENCE)]
+    if rng.random() < 0.5:
+        board.append(block((1.0, 0.034, 0.35), (0, 0, 0.65 * height_m), WHITE, FENCE))
+    ribs = np.linspace(-0.45, 0.45, 7)
+    board += [block((0.03, 0.05, height_m), (x, 0, height_m / 2 - 0.1), tone * 0.9, FENCE)
+              for x in ribs]  # fmt: skip
+    panels = _repeated(merged(board), *_spans(path, 2.4), rng=rng, uneven=0.12)
+    points, left = _stations(path, 2.4)
+    post = block((0.08, 0.1, height_m + 0.1), (0, 0, height_m / 2 - 0.1), WOOD, FENCE)
+    return merged([panels, _repeated(post, points, _upright(left), rng=rng)])
+
+
 _Fence = tuple[Part, Part, float]
 """a panel 1 long in x, a post, the spacing of the posts [m]"""
 

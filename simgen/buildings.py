@@ -21,6 +21,7 @@ from simgen.fittings import detailed_openings, far_openings, flat_openings
 from simgen.massing import KINDS, Massing
 from simgen.mesh import Model, Part, merged
 from simgen.roofing import flat_roof, pitched_roof
+from simgen.signs import Rect
 
 __all__ = ["MAX_FAR_TRIANGLES", "WALL_MATERIALS", "Massing", "build"]
 
@@ -35,12 +36,14 @@ def build(
     rng: np.random.Generator,
     lod: Literal[0, 1, 2],
     walls: Sequence[str] = WALL_MATERIALS,
+    shop_names: Sequence[Rect] = (),
 ) -> Model:
     """Builds one massing in world coordinates, one part per material.
 
     Args:
         lod: level of detail, see the module's docstring.
         walls: wall materials to choose from; repeat a name to make it likelier.
+        shop_names: cells of the sign atlas with what is written over shops.
     """
     if lod not in (0, 1, 2):
         raise ValueError(f"build: level of detail {lod} is unknown; choose 0, 1 or 2")
@@ -53,10 +56,10 @@ def build(
     for wall, openings in zip(sides, layouts, strict=True):
         if lod == 0:
             model.append(wall_surface(wall, style, openings))
-            model += detailed_openings(wall, kind, style, openings, rng=rng)
+            model += detailed_openings(wall, kind, style, openings, shop_names, rng=rng)
         elif lod == 1:
             model.append(plain_surface(wall, style))
-            model += flat_openings(wall, style, openings, rng=rng)
+            model += flat_openings(wall, style, openings, shop_names, rng=rng)
         else:
             model.append(plain_surface(wall, style))
             model += far_openings(wall, openings, _max_panes(sides), rng=rng)

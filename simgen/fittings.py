@@ -5,6 +5,8 @@ Frames and names as in facades.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from simgen.facades import BELOW_GROUND_M, FABRICS, Openings, Style, Wall, wall_
 from simgen.massing import Kind
 from simgen.mesh import Model
 from simgen.shopfronts import displays, shop_boards
+from simgen.signs import Rect
 from simgen.solids import Frame, boxes, inset, inside_out, painted, pipe, rectangles, slabs
 
 Array = NDArray[np.float64]
@@ -24,7 +27,12 @@ def glass_colors(count: int, *, rng: np.random.Generator) -> Array:
 
 
 def flat_openings(
-    wall: Wall, style: Style, openings: Openings, *, rng: np.random.Generator
+    wall: Wall,
+    style: Style,
+    openings: Openings,
+    names: Sequence[Rect],
+    *,
+    rng: np.random.Generator,
 ) -> Model:
     """Openings painted on a plain wall, for the middle distance."""
     frame, rects = wall.frame, openings.rects
@@ -36,7 +44,7 @@ def flat_openings(
         *_covers(frame, inset(openings.of("window", "tall"), 0.07), 0.04, style, rng),
         painted(frame, rectangles(inset(shut, 0.07), 0.05), style.door),
         *_balconies(wall, style, openings.of("tall"), bars=False),
-        *shop_boards(wall, openings.of("shop", "door"), letters=False, rng=rng),
+        *shop_boards(wall, openings.of("shop", "door"), names=names, rng=rng),
     ]  # fmt: skip
 
 
@@ -55,7 +63,13 @@ def far_openings(
 
 
 def detailed_openings(
-    wall: Wall, kind: Kind, style: Style, openings: Openings, *, rng: np.random.Generator
+    wall: Wall,
+    kind: Kind,
+    style: Style,
+    openings: Openings,
+    names: Sequence[Rect],
+    *,
+    rng: np.random.Generator,
 ) -> Model:
     """Openings with reveals, frames, panes, blinds, doors, shop fronts, balconies; fixtures."""
     frame, rects = wall.frame, openings.rects
@@ -68,7 +82,7 @@ def detailed_openings(
         *_covers(frame, inset(panes, _FRAME_M), depth - 0.03, style, rng),
         *_trims(frame, openings.of("window"), style),
         *_balconies(wall, style, openings.of("tall"), bars=not style.solid_balconies),
-        *shop_boards(wall, openings.of("shop", "door"), letters=True, rng=rng),
+        *shop_boards(wall, openings.of("shop", "door"), names=names, rng=rng),
         *displays(frame, openings.of("shop"), depth - 0.03, rng),
     ]
     for rect in openings.of("gate"):

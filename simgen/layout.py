@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from simgen.crossings import Crossing
 from simgen.geometry import Array
 from simgen.mesh import Model, placed
 from simgen.recipe import SceneSpec
@@ -63,8 +64,12 @@ class Layout:
         rig_xy: Array,
         sign_rects: Mapping[str, Rect],
         zoom: float,
+        crossing: Crossing | None = None,
     ) -> None:
-        """``zoom`` is the focal length over that of a 90° lens: detail counts in pixels."""
+        """``zoom`` is the focal length over that of a 90° lens: detail counts in pixels.
+
+        ``crossing`` is the bridge over the road ahead.
+        """
         self.site, self.spec, self.rig_xy = site, spec, rig_xy
         self.lanes = site.network.lanes
         self.sign_rects = sign_rects
@@ -73,6 +78,7 @@ class Layout:
         """(N, 3) world positions of lamps that burn at night"""
         self.designs: dict[tuple[str, int], Vehicle] = {}
         """of the scene's vehicles, by family and number: built when first met"""
+        self.crossing = crossing
 
     def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> Literal[0, 1, 2]:
         """Level of detail: 0 near the rig, 2 far away."""
@@ -82,6 +88,11 @@ class Layout:
     def in_view(self, xy: Array) -> bool:
         """Whether something at ``xy`` can matter for an image."""
         return bool(BEHIND_M < xy[0] - self.rig_xy[0] < AHEAD_M and abs(xy[1]) < BESIDE_M)
+
+    def open_above(self, xy: Array, margin: float = 3.0) -> bool:
+        """Whether something tall can stand at ``xy``: no bridge over it or close by."""
+        bridge = self.crossing
+        return bridge is None or not bridge.near(xy, bridge.half_width_m + margin)
 
     def stand(
         self,

@@ -8,6 +8,7 @@ from simgen import vegetation
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model
+from simgen.roads import offset_line, resampled
 
 
 def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, float],
@@ -38,7 +39,7 @@ def street_trees(layout: Layout) -> Placed:
         mix = {"street": 1.0} if on_pavement and town else layout.spec.species
         for point, _ in along(layout, line, spacing, rng, offset):
             free = layout.site.clear_of(point[:2], road=0.4, pavement=-1, buildings=1.6)[0]
-            if free and rng.random() < 0.9:
+            if free and rng.random() < 0.9 and layout.open_above(point, 5.0):
                 yield _tree(layout, point, rng, mix, (0.0, 0.7))
 
 
@@ -79,3 +80,30 @@ def grass(layout: Layout) -> Placed:
     z = layout.site.height(xy)
     known = ~np.isnan(z)
     yield [vegetation.grass_tufts(xy[known], z[known] - 0.02, rng=rng)]
+
+
+VERGE_AHEAD_M = 90.0
+
+
+def verges(layout: Layout) -> Placed:
+    """Tall grass in drifts, and shrubs, beside roads that have no pavement."""
+    rng = layout.spec.stream("verges")
+    for lane, line in edges(layout):
+        if lane.kind == "sidewalk":
+            continue
+        grown = resampled(offset_line(line, -2.2), 0.3)
+        grown = grown[np.linalg.norm(grown[:, :2] - layout.rig_xy, axis=1) < VERGE_AHEAD_M]
+        xy = grown[:, :2].repeat(4, axis=0) + rng.normal(0, 0.7, (4 * len(grown), 2))
+        drifts = np.sin(0.23 * xy[:, 0] + 0.5 * np.sin(0.31 * xy[:, 1])) > rng.normal(
+            0, 0.4, len(xy)
+        )
+        xy = xy[drifts & layout.site.clear_of(xy, road=0.7, pavement=0.3, buildings=0.3)]
+        z = layout.site.height(xy)
+        known = ~np.isnan(z)
+        if known.any():
+            yield [vegetation.grass_tufts(xy[known], z[known] - 0.02, rng=rng, tall=True)]
+        for point, _ in along(layout, line, 9.0, rng, -float(rng.uniform(3.2, 5.0))):
+            near = np.linalg.norm(point[:2] - layout.rig_xy) < 160.0
+            clear = layout.site.clear_of(point[:2], road=2.0, pavement=1.0, buildings=1.5)[0]
+            if near and clear and rng.random() < 0.35:
+                yield _shrub(layout, point, rng)

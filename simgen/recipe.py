@@ -176,6 +176,15 @@ class FurnitureTable(Table):
     """bins, benches, bollards, cabinets and the like, each side"""
     fences: Probability
     gantry: Probability
+    overpass: Probability
+    """a road or railway bridge over the road ahead"""
+    footbridge: Probability
+    noise_wall: Probability
+    road_works: Probability
+    building_site: Probability
+    """a hoarding with a crane behind it"""
+    trolley_wires: Probability
+    """contact wires of trolley buses over the lanes"""
 
 
 class BackgroundTable(Table):
@@ -292,6 +301,12 @@ class SceneSpec:
     small_per_100m: float
     fences: float
     gantry: bool
+    overpass: bool
+    footbridge: bool
+    noise_wall: bool
+    road_works: bool
+    building_site: bool
+    trolley_wires: bool
     skyline: int
     far_relief_m: float
     rig_lane: str
@@ -345,6 +360,12 @@ def draw_scene(
         small_per_100m=draw(furniture.small_per_100m, rng=rng),
         fences=furniture.fences,
         gantry=bool(rng.random() < furniture.gantry),
+        overpass=bool(rng.random() < furniture.overpass),
+        footbridge=bool(rng.random() < furniture.footbridge),
+        noise_wall=bool(rng.random() < furniture.noise_wall),
+        road_works=bool(rng.random() < furniture.road_works),
+        building_site=bool(rng.random() < furniture.building_site),
+        trolley_wires=bool(rng.random() < furniture.trolley_wires),
         skyline=int(rng.integers(recipe.background.skyline[0], recipe.background.skyline[1] + 1)),
         far_relief_m=draw(recipe.background.relief_m, rng=rng),
         rig_lane=recipe.rig_lane,

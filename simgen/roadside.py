@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from simgen import alignment, barriers, furniture, pavement, vegetation
+from simgen import alignment, barriers, furniture, pavement, terraces, vegetation
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model
@@ -43,6 +43,8 @@ def lamps(layout: Layout) -> Placed:
         if lane.side == "left" and layout.spec.road.lanes == 1:
             continue
         for point, heading in along(layout, line, layout.spec.lamp_spacing_m, rng, _kerbside(lane)):
+            if not layout.open_above(point):
+                continue
             model = _stands(layout, lamp, point, heading + np.pi / 2)
             if model:
                 layout.lights.append(furniture.lamp_heads(model))
@@ -128,7 +130,8 @@ def signs(layout: Layout) -> Placed:
 def _billboard(layout: Layout, point: Array, heading: float, rng: np.random.Generator) -> Model:
     to_the_right = np.array([np.sin(heading), -np.cos(heading), 0.0])
     place = point + 6.0 * to_the_right
-    if not layout.site.clear_of(place[:2], road=2.0, pavement=0.5, buildings=2.5)[0]:
+    free = layout.site.clear_of(place[:2], road=2.0, pavement=0.5, buildings=2.5)[0]
+    if not free or not layout.open_above(place, 5.0):
         return []
     model = furniture.billboard(layout.sign_rects, rng=rng)
     return _stands(layout, model, place, heading + np.pi - 0.35, radius=2.0)
@@ -145,6 +148,8 @@ def gantry(layout: Layout) -> Placed:
     point, heading = at_station(network.rig_lane.centre, ahead)
     middle = np.concatenate(medians)
     nearest = middle[np.argmin(np.linalg.norm(middle[:, :2] - point[:2], axis=1))]
+    if not layout.open_above(nearest, 20.0):
+        return
     width = 2 * (layout.spec.road.lanes * layout.spec.road.lane_width_m + 5.0)
     model = furniture.gantry(layout.sign_rects, width, rng=rng)
     yield layout.stand(model, nearest, float(heading) + np.pi)
@@ -168,11 +173,30 @@ def rails(layout: Layout) -> Placed:
                 yield [build(run[::-1], rng=rng)]
 
 
-def _runs(layout: Layout, line: Array, offset: float) -> Iterator[Array]:
-    """The stretches (N, 3) of a line beside the road that are in view and on the ground."""
+def noise_walls(layout: Layout) -> Placed:
+    """Walls against noise behind the guard rails, on one side or both, with gaps."""
+    rng = layout.spec.stream("noise walls")
+    if not layout.spec.noise_wall:
+        return
+    height = float(rng.uniform(2.5, 5.0))
+    for lane, line in edges(layout):
+        if lane.side == "left" and rng.random() < 0.5:
+            continue
+        for run in _runs(layout, line, -4.2, claimed_m=0.4):
+            yield [barriers.noise_wall(run, rng=rng, height_m=height)]
+
+
+def _runs(layout: Layout, line: Array, offset: float, claimed_m: float = 0.0) -> Iterator[Array]:
+    """The stretches (N, 3) of a line beside the road that are in view and on the ground.
+
+    With ``claimed_m`` they take that radius of ground, and end where something else stands.
+    """
     shifted = resampled(offset_line(line, offset), 2.0)
     on_ground = np.column_stack([shifted[:, :2], layout.site.height(shifted[:, :2])])
     usable = ~np.isnan(on_ground[:, 2]) & [layout.in_view(p) for p in on_ground]
+    if claimed_m:
+        free = [layout.site.claim([(x, y, claimed_m)]) for x, y, _ in on_ground[usable]]
+        usable[usable] = free
     change = np.diff(np.concatenate([[0], usable.astype(int), [0]]))
     for start, end in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
         if end - start > 7:  # shorter ones would be all sloping ends
@@ -182,7 +206,7 @@ def _runs(layout: Layout, line: Array, offset: float) -> Iterator[Array]:
 def utility_poles(layout: Layout) -> Placed:
     """Wooden poles with wires along one side."""
     rng = layout.spec.stream("utility poles")
-    if not layout.spec.utility_poles:
+    if not layout.spec.utility_poles or layout.crossing is not None:
         return
     _, line = next(edges(layout))
     bases = []
@@ -195,7 +219,21 @@ def utility_poles(layout: Layout) -> Placed:
         yield furniture.utility_line(np.array(bases), rng=rng)
 
 
-_RADIUS_M = {"bus_shelter": 2.2, "bench": 1.0, "advertising_column": 0.8, "planter": 0.7}
+_RADIUS_M = {
+    "bus_shelter": 2.2, "bench": 1.0, "advertising_column": 0.8, "planter": 0.7, "cafe_table": 1.1,
+    "market_stall": 1.5, "shop_board": 0.4, "bicycle_rack": 1.4, "parcel_locker": 1.3,
+    "flower_bed": 1.0,
+}  # fmt: skip
+_PRINTED = {
+    "bus_shelter": furniture.bus_shelter,
+    "advertising_column": furniture.advertising_column,
+    "market_stall": terraces.market_stall,
+    "shop_board": terraces.shop_board,
+}
+"""Small things that show cells of the sign atlas."""
+UNIQUE_WITHIN_M = 40.0
+"""Nearer to the rig every small thing is built for its place; farther ones are seen again."""
+_SHOPPING_STREETS = ("town", "downtown")
 
 
 def small_things(layout: Layout) -> Placed:
@@ -206,7 +244,11 @@ def small_things(layout: Layout) -> Placed:
         return
     if layout.spec.small_per_100m <= 0:
         return
-    kinds = (*pavement.CLUTTER, "bus_shelter", "advertising_column")
+    kinds = [*pavement.CLUTTER, "bus_shelter", "parking_meter", "flower_bed"]
+    if layout.spec.building_rules in _SHOPPING_STREETS:
+        kinds += [*terraces.TERRACE, "cafe_table", "advertising_column", "market_stall",
+                  "shop_board"]  # fmt: skip
+    stock: dict[str, Model] = {}
     for lane, line in edges(layout):
         if lane.kind != "sidewalk":
             continue
@@ -217,16 +259,17 @@ def small_things(layout: Layout) -> Placed:
             by_the_kerb = lane.width - radius - 0.15
             inward = at_the_back if radius > 0.5 or rng.random() < 0.5 else by_the_kerb
             left = np.array([-np.sin(heading), np.cos(heading), 0.0])
-            model = _small(layout, kind, rng)
+            near = np.linalg.norm(point[:2] - layout.rig_xy) < UNIQUE_WITHIN_M
+            model = None if near else stock.get(kind)
+            if model is None:
+                model = stock[kind] = _small(layout, kind, rng)
             yield _stands(layout, model, point + inward * left, heading + np.pi / 2, radius)
 
 
 def _small(layout: Layout, kind: str, rng: np.random.Generator) -> Model:
-    if kind == "bus_shelter":
-        return furniture.bus_shelter(layout.sign_rects, rng=rng)
-    if kind == "advertising_column":
-        return furniture.advertising_column(layout.sign_rects, rng=rng)
-    return pavement.CLUTTER[kind](rng=rng)
+    if kind in _PRINTED:
+        return _PRINTED[kind](layout.sign_rects, rng=rng)
+    return (pavement.CLUTTER | terraces.TERRACE)[kind](rng=rng)
 
 
 def _delineators(layout: Layout, rng: np.random.Generator) -> Placed:

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simgen.facades import SHOPS, WHITE, Wall
-from simgen.mesh import Model
-from simgen.solids import Frame, inset, painted, rectangles, slabs
+from simgen.mesh import Model, Part
+from simgen.signs import Rect
+from simgen.solids import Frame, inset, painted, rectangles, sheeted, slabs
 
 Array = NDArray[np.float64]
 
 
-def shop_boards(wall: Wall, rects: Array, *, letters: bool, rng: np.random.Generator) -> Model:
-    """Fascia boards over runs of one to three shop windows, with lettering and awnings."""
+def shop_boards(
+    wall: Wall, rects: Array, *, names: Sequence[Rect], rng: np.random.Generator
+) -> Model:
+    """Fascia boards over runs of one to three shop windows, with printed names and awnings.
+
+    ``names`` are cells of the sign atlas; without any, boards stay blank.
+    """
     if len(rects) < 2 or rects[:, 3].max() < 2.6:
         return []
     rects = rects[np.argsort(rects[:, 0])]
@@ -27,32 +35,27 @@ def shop_boards(wall: Wall, rects: Array, *, letters: bool, rng: np.random.Gener
         color = np.array(SHOPS[rng.integers(len(SHOPS))])
         board = np.array([[span[0], head + 0.12, span[1], head + 0.72]])
         model.append(painted(wall.frame, slabs(board, 0.0, 0.12), color))
-        if letters:
-            model += _lettering(wall.frame, board[0], color, rng)
+        if names:
+            model.append(_name(wall.frame, board[0], names[int(rng.integers(len(names)))]))
         if rng.random() < 0.35:
             model += _awning(wall.frame, span, head + 0.1, color, rng)
         start = end
     return model
 
 
-def _lettering(frame: Frame, board: Array, background: Array, rng: np.random.Generator) -> Model:
-    """Strokes on a 3 × 3 grid that look like letters from across the street."""
-    height = rng.uniform(0.22, 0.34)
-    pitch = height * 0.85
-    count = int(np.clip((board[2] - board[0] - 0.6) / pitch, 1, rng.integers(5, 12)))
-    left = (board[0] + board[2] - count * pitch) / 2 + np.arange(count) * pitch
-    base, bar, width = (board[1] + board[3] - height) / 2, 0.17 * height, 0.62 * height
-    strokes = []
-    drawn = (rng.random((count, 5)) < (0.95, 0.4, 0.6, 0.6, 0.6)).tolist()
-    for x, (stem, end, top, middle, low) in zip(left, drawn, strict=True):
-        strokes += [(x, base, x + bar, base + height)] * (stem or not end)
-        strokes += [(x + width - bar, base, x + width, base + height)] * end
-        for level, on in ((1.0, top), (0.55, middle), (0.17, low)):
-            y = base + height * level
-            strokes += [(x + bar, y - bar, x + width - bar, y)] * on
-    bright = float(background.max()) < 0.4
-    color = np.array((0.72, 0.7, 0.62) if bright else (0.03, 0.03, 0.04))
-    return [painted(frame, rectangles(strokes, 0.13), color)]
+NAME_ASPECT = 512 / 103
+"""width over height of a shop's cell in the sign atlas"""
+
+
+def _name(frame: Frame, board: Array, cell: Rect) -> Part:
+    """A printed name in the middle of a board (left, bottom, right, top)."""
+    middle, size = (board[:2] + board[2:]) / 2, board[2:] - board[:2] - 0.06
+    width = min(size[0], size[1] * NAME_ASPECT)
+    half = np.array([width, width / NAME_ASPECT]) / 2
+    quad = rectangles([*(middle - half), *(middle + half)], 0.13)
+    u0, v0, u1, v1 = cell
+    uv = np.array([(u0, v1), (u1, v1), (u1, v0), (u0, v0)], dtype=np.float32)
+    return replace(sheeted(frame, quad, "sign", (0.0, 0.0)), uv=uv)
 
 
 def _awning(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -23,13 +24,22 @@ class Site:
         self.network = network
         self.asphalt = covered(network.surfaces["road"])
         self.pavement = covered(network.surfaces["sidewalk"])
-        footprints = [shapely.Polygon(m.footprint) for b in network.buildings for m in b]
-        self.built = shapely.union_all(footprints)
+        self.built = _built(network)
         self._height = _Heights(list(network.surfaces.values()))
         self._discs: defaultdict[tuple[int, int], list[tuple[float, float, float]]]
         self._discs = defaultdict(list)
         for area in (self.asphalt, self.pavement, self.built):
             shapely.prepare(area)
+
+    def demolish(self, area: shapely.Geometry) -> None:
+        """Takes away the buildings that touch an area."""
+        keep = [
+            b for b in self.network.buildings
+            if not any(shapely.Polygon(m.footprint).intersects(area) for m in b)
+        ]  # fmt: skip
+        self.network = replace(self.network, buildings=keep)
+        self.built = _built(self.network)
+        shapely.prepare(self.built)
 
     def height(self, xy: ArrayLike) -> Array:
         """z (N,) of the topmost ground at (N, 2); NaN outside the network's land."""
@@ -62,6 +72,11 @@ class Site:
     def _around(self, x: float, y: float, r: float) -> Iterator[tuple[float, float, float]]:
         for cell in _cells(x, y, r):
             yield from self._discs.get(cell, ())
+
+
+def _built(network: Network) -> shapely.Geometry:
+    """The ground that buildings stand on."""
+    return shapely.union_all([shapely.Polygon(m.footprint) for b in network.buildings for m in b])
 
 
 def _cells(x: float, y: float, r: float) -> Iterable[tuple[int, int]]:

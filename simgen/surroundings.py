@@ -16,6 +16,8 @@ FAR_OUTER_M = 3000.0
 
 
 def houses(layout: Layout) -> Placed:
+    """The buildings of the network; shops have names from the sign atlas."""
+    shop_names = [r for name, r in layout.sign_rects.items() if name.startswith("shop_")]
     for number, masses in enumerate(layout.site.network.buildings):
         rng = layout.spec.stream(f"building {number}")
         model: Model = []
@@ -27,7 +29,8 @@ def houses(layout: Layout) -> Placed:
                     np.argmin(np.linalg.norm(mass.footprint - layout.rig_xy, axis=1))
                 ]
                 model += buildings.build(mass, rng=rng, lod=layout.lod(nearest, 45.0, 130.0),
-                                         walls=[str(w) for w in walls[:2]])  # fmt: skip
+                                         walls=[str(w) for w in walls[:2]],
+                                         shop_names=shop_names)  # fmt: skip
         if model:
             yield model
 

@@ -159,15 +159,21 @@ def hedge(
     return [merged([core, _leaf_part(position, normal, length, 0.0, color, rng)])]
 
 
-def grass_tufts(xy: ArrayLike, z: ArrayLike, *, rng: np.random.Generator) -> Part:
-    """Tufts of ten thin blades at ``xy`` (N, 2) on the ground of height ``z`` (N,), one part."""
+def grass_tufts(
+    xy: ArrayLike, z: ArrayLike, *, rng: np.random.Generator, tall: bool = False
+) -> Part:
+    """Tufts of ten thin blades at ``xy`` (N, 2) on the ground of height ``z`` (N,), one part.
+
+    Mown ones are 0.1 to 0.3 m high, tall ones 0.2 to 0.9 m.
+    """
+    low, high = (0.25, 0.7) if tall else (0.07, 0.24)
     root = np.column_stack([np.asarray(xy, dtype=np.float64), z]).repeat(10, axis=0)
     n = len(root)
-    height = (rng.uniform(0.07, 0.24, n // 10).repeat(10) * rng.uniform(0.5, 1.3, n))[:, None]
+    height = (rng.uniform(low, high, n // 10).repeat(10) * rng.uniform(0.5, 1.3, n))[:, None]
     azimuth, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.7, (n, 1))
     outward, across = _horizontal(azimuth), _horizontal(azimuth + np.pi / 2)
     root += outward * rng.uniform(0, 0.07, (n, 1)) - 0.01 * UP
-    half_width = across * rng.uniform(0.003, 0.007, (n, 1))
+    half_width = across * rng.uniform(0.003, 0.007, (n, 1)) * (2.2 if tall else 1.0)
     tip = root + height * (UP + lean * outward)
     vertices = np.stack([root - half_width, root + half_width, tip], axis=1)
     dry = rng.beta(1.2, 4, (n, 1, 1))

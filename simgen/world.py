@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from simgen import (
+    bridges,
+    crossings,
     daylight,
     ground,
     markings,
@@ -22,6 +24,8 @@ from simgen import (
     sheets,
     surroundings,
     traffic,
+    trolley,
+    works,
 )
 from simgen.geometry import Array, rotation_from_vector, transform
 from simgen.layout import Layout, Mover, Placed
@@ -64,6 +68,7 @@ def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"") -> Drive:
 def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     """Everything that can be seen."""
     site = Site(drive.network)
+    crossing = crossings.plan(site, spec)
     atlas = sign_atlas(rng=spec.stream("signs"))
     paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
     half = surroundings.FAR_INNER_M
@@ -76,7 +81,8 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
         surfaces = pool.submit(_sheets, spec)
         zoom = 1 / np.tan(optics.hfov_rad / 2)
-        layout = Layout(site, spec, drive.T_world_vehicle[:2, 3], atlas.rects, float(zoom))
+        rig_xy = drive.T_world_vehicle[:2, 3]
+        layout = Layout(site, spec, rig_xy, atlas.rects, float(zoom), crossing)
         parts, movers = _place(layout)
         lamps = night.lamps(layout, drive.T_world_vehicle) if daylight.is_night(spec.sky) else []
         return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps,
@@ -84,13 +90,14 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
 
 
 _STEPS: tuple[Callable[[Layout], Placed], ...] = (
-    surroundings.houses, traffic.moving, traffic.parked, passers_by.cyclists, roadside.signals,
-    roadside.lamps, roadside.signs, roadside.utility_poles, roadside.gantry, roadside.rails,
+    bridges.over_the_road, surroundings.houses, works.road_works, traffic.moving, traffic.parked,
+    passers_by.cyclists, roadside.signals, roadside.lamps, roadside.signs, roadside.utility_poles,
+    roadside.gantry, roadside.rails, roadside.noise_walls, trolley.overhead, works.building_site,
     planting.street_trees, roadside.small_things, roadside.frontage, passers_by.bicycles,
-    passers_by.pedestrians, planting.trees, planting.grass, surroundings.horizon,
+    passers_by.pedestrians, planting.verges, planting.trees, planting.grass, surroundings.horizon,
 )  # fmt: skip
 """In order of precedence: what comes first takes the place."""
-_STUFF = {LABELS[n] for n in ("terrain", "guard rail", "wall", "fence")}
+_STUFF = {LABELS[n] for n in ("terrain", "guard rail", "wall", "fence", "bridge")}
 """Classes that cannot be counted: they have no instance."""
 
 

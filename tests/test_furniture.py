@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simgen import barriers, furniture, pavement
+from simgen import barriers, furniture, pavement, terraces, works
 from simgen.mesh import Model, Part, placed
 from simgen.schema import LABELS
 from simgen.signs import STANDARDS
 from simgen.street_solids import bars, turned
 
-_BOARDS = [f"{prefix}_{i}" for prefix in ("board", "billboard") for i in range(6)]
+_BOARDS = [f"{prefix}_{i}" for prefix in ("board", "billboard", "shop") for i in range(6)]
 RECTS = dict.fromkeys([*STANDARDS, *_BOARDS], (0.0, 0.0, 0.5, 0.25))
 STRAIGHT = np.array([[0.0, 0.0, 0.0], [48.0, 0.0, 0.0]])
 BEND = np.array([[30 * np.sin(a), 30 - 30 * np.cos(a), 0.0] for a in np.linspace(0, 1.5, 60)])
@@ -32,6 +32,15 @@ SPOTS: dict[str, tuple[int, Callable[[], Model]]] = {
         name: (500, lambda build=build: build(rng=generator()))
         for name, build in pavement.CLUTTER.items()
     },
+    **{
+        name: (900, lambda build=build: build(rng=generator()))
+        for name, build in terraces.TERRACE.items()
+    },
+    "market stall": (2500, lambda: terraces.market_stall(RECTS, rng=generator())),
+    "shop board": (200, lambda: terraces.shop_board(RECTS, rng=generator())),
+    "barrier board": (300, lambda: works.barrier_board(rng=generator())),
+    "excavator": (500, lambda: works.excavator(rng=generator())),
+    "soil heap": (300, lambda: works.soil_heap(rng=generator())),
     "signal": (500, lambda: furniture.traffic_signal("red", rng=generator())),
     "signal on arm": (500, lambda: furniture.traffic_signal("red", rng=generator(), reach_m=5)),
     "sign": (500, lambda: furniture.traffic_sign(RECTS, "stop", "street_1", rng=generator())),
@@ -47,6 +56,7 @@ SPOTS: dict[str, tuple[int, Callable[[], Model]]] = {
 LINES: dict[str, Callable[[np.ndarray], Part]] = {
     "guard rail": lambda path: barriers.guard_rail(path, rng=generator()),
     "barrier": lambda path: barriers.concrete_barrier(path, rng=generator()),
+    "hoarding": lambda path: barriers.hoarding(path, rng=generator()),
     "noise wall": lambda path: barriers.noise_wall(path, rng=generator()),
     **{
         kind: lambda path, kind=kind: barriers.fence(kind, path, rng=generator())
