@@ -32,8 +32,10 @@ from simgen import engine, groundtruth, produce, sensor
 from simgen.color import luminance
 from simgen.config import Job, RenderOptions, resolve
 from simgen.geometry import Array
+from simgen.metering import expose, meter
 from simgen.schema import LABELS, VISIBLE
 from simgen.statistics import FLAT, Octave, compare_octaves, gradient, octave_bands, warped
+from simgen.tone import WHITE
 
 RUN_SPP, NUM_RUNS = 16, 16
 """of the reference: runs of their own seeds, since the first-hit features are sampled per run"""
@@ -153,10 +155,10 @@ def _octave_rows(views: Views) -> Iterator[tuple[object, ...]]:
 
 
 def _bands(views: Views) -> list[Array]:
-    exposure = sensor.meter(views.reference)
+    exposure = meter(views.reference)
     half_a, half_b = views.halves
     return [
-        octave_bands(np.clip(luminance(v) * exposure, 0, sensor.WHITE), NUM_OCTAVES)
+        octave_bands(np.clip(luminance(v) * exposure, 0, WHITE), NUM_OCTAVES)
         for v in (views.rendered[0], half_a[0], half_b[0])
     ]
 
@@ -201,7 +203,7 @@ def _greys(views: Views, radiances: list[Image]) -> list[Image]:
 def _developed(views: Views, radiances: list[Image]) -> list[NDArray[np.uint8]]:
     """8-bit images, all exposed for the reference."""
     rng = np.random.default_rng(0)
-    exposures = sensor.draw_exposures("ideal", sensor.meter(views.reference), 2, rng=rng)
+    exposures = expose("ideal", views.reference, rng=rng)
     return [sensor.develop(r, e, rng=rng) for r, e in zip(radiances, exposures, strict=True)]
 
 

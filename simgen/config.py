@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from simgen.errors import UserError
 from simgen.given_map import load as load_map
+from simgen.metering import SENSORS
 from simgen.recipe import (
     DaylightTable,
     Recipe,
@@ -24,7 +25,6 @@ from simgen.recipe import (
     scenes_dir,
 )
 from simgen.rig import Rig
-from simgen.sensor import SENSORS
 
 MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
 MAX_PAIRS = 10_000_000
@@ -53,7 +53,7 @@ class RenderOptions:
     denoise: bool = True
     """whether Open Image Denoise cleans the irradiance"""
     sensor: Literal["camera", "ideal"] = "camera"
-    """camera: noise, vignetting, small differences in gain; ideal: exposure and tone curve only"""
+    """camera: lens, noise, white balance, sharpening; ideal: exposure and tone curve only"""
     recipes: str = ""
     """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given"""
     weather: str = ""

@@ -28,6 +28,7 @@ from simgen.checks import check_frame
 from simgen.config import Job
 from simgen.engine import Engine, activate
 from simgen.ground import Optics
+from simgen.metering import Exposure, expose
 from simgen.recipe import SceneSpec, draw_scene, draw_sky, pick, stream
 from simgen.rig import PosedRig, pose
 from simgen.run import FrameRejected, FrameResult, FrameTask
@@ -143,11 +144,10 @@ def radiance(
 
 def _develop(
     plan: FramePlan, job: Job, radiances: list[render.Image]
-) -> tuple[NDArray[np.uint8], list[sensor.Exposure]]:
+) -> tuple[NDArray[np.uint8], list[Exposure]]:
     """Images (C, H, W, 3) of a rig that exposes together; each camera has noise of its own."""
-    exposure = sensor.meter(radiances)
     draws = stream(job.seed, plan.index, plan.attempt, "sensor")
-    exposures = sensor.draw_exposures(job.sensor, exposure, len(radiances), rng=draws)
+    exposures = expose(job.sensor, radiances, rng=draws)
     with ThreadPoolExecutor() as pool:
         images = pool.map(
             lambda c: sensor.develop(radiances[c], exposures[c], rng=noise_stream(plan, job, c)),
@@ -215,7 +215,7 @@ def _cameras(plan: FramePlan) -> dict[str, Any]:
 
 
 def _spec_json(
-    plan: FramePlan, job: Job, exposures: list[sensor.Exposure], movers: list[dict[str, Any]]
+    plan: FramePlan, job: Job, exposures: list[Exposure], movers: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """All that is needed to render the frame again."""
     sky = plan.spec.sky

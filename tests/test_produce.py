@@ -108,6 +108,7 @@ def test_recipes_are_drawn_by_their_shares(job):
 def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     """What the EXR files hold is what the shard holds, and their radiance develops to its image."""
     from simgen import sensor
+    from simgen.metering import Exposure
     from simgen.run import SetFolder, plan
     from simgen.shards import ShardSet
     from simgen.store import Source, assemble
@@ -134,7 +135,7 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
         np.testing.assert_array_equal(exr["id.instance"], frame.instance[c])
         np.testing.assert_array_equal(exr["id.semantic"], frame.semantic[c])
         radiance = np.stack([exr[k] for k in "RGB"], axis=-1)
-        exposure = sensor.Exposure(**frame.spec["exposure"][c])
+        exposure = Exposure(**frame.spec["exposure"][c])
         noise = noise_stream(frame_plan, job, c)
         np.testing.assert_array_equal(sensor.develop(radiance, exposure, rng=noise), frame.image[c])
     pair = export.read_exr(tmp_path / "out" / "pair-0-2.exr")
