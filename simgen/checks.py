@@ -27,7 +27,7 @@ NEED_TEXTURE = ("photometric_shift", "photometric_offset", "photometric_match")
 FULL_ACCURACY_WIDTH = 320  # narrower images get proportionally wider photometric limits
 # So do shares of pixels below these widths: the pixels next to an end point then belong to other
 # leaves, windows and wheels.
-FULL_WIDTH = {"visible_depth": 160, "occluded_depth": 160, "instance": 320, "semantic": 320}
+FULL_WIDTH = {"visible_depth": 240, "occluded_depth": 160, "instance": 320, "semantic": 320}
 
 
 def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding]:

@@ -336,6 +336,8 @@ _DRY = np.array([0.150, 0.135, 0.060], np.float32)
 _SOIL = np.array([0.120, 0.088, 0.058], np.float32)
 _GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.235, 0.225, 0.210), (0.300, 0.290, 0.270)
 _ASPHALT = (1.0, 0.985, 0.955)
+_AGGREGATE_M = 0.009
+"""diameter of the stones in asphalt and concrete"""
 
 
 def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> NDArray[np.uint8]:
@@ -388,9 +390,10 @@ Layer = tuple[Image, Image | tuple[float, float, float]]
 
 
 class _Canvas:
-    """One map under work: its raster, its masks, and three noises that all layers share.
+    """One map under work: its raster, its masks, and the noises that all layers share.
 
-    Layers lie beside each other, so one noise can serve them all without being seen twice.
+    Layers lie beside each other, so one noise can serve them all without being seen twice. Three
+    noises are functions of place; ``speckle`` stands for grains that a texel does not resolve.
     """
 
     def __init__(self, band: Band, seed: int) -> None:
@@ -399,10 +402,19 @@ class _Canvas:
         self.broad = self._noise(64.0, 6, seed, gain=0.55)
         self.middle = self._noise(1.8, 5, seed + 1, gain=0.65)
         self.grain = self._noise(0.09, 4, seed + 2, gain=0.9)
+        bytes_ = np.random.default_rng([seed, *band.shape]).integers(256, size=band.shape,
+                                                                     dtype=np.uint8)  # fmt: skip
+        self.speckle = (bytes_ - np.float32(127.5)) / np.float32(73.9)
+        """white, of variance 1"""
 
     def _noise(self, wavelength: float, octaves: int, seed: int, gain: float) -> Image:
         return fractal(self.band.shape, wavelength=wavelength, octaves=octaves, gain=gain,
                        seed=seed, A=self.band.A)  # fmt: skip
+
+    def grains(self, diameter_m: float, contrast: float) -> Image:
+        """Relative tone (H, W) of loose grains: a texel holds the mean of those that it covers."""
+        area = float(self.texel[0] * self.texel[1])
+        return self.speckle * np.float32(contrast * min(1.0, diameter_m / area**0.5))
 
     def sigma(self, metres: float) -> tuple[float, float]:
         """A length in texels (across, along)."""
@@ -443,7 +455,8 @@ class _Canvas:
 
     def land(self) -> tuple[Image, Image]:
         """Grass with dry and bare places."""
-        tone = np.clip(1 + 0.42 * self.middle + 0.3 * self.grain, 0.3, 2.0)
+        tone = 1 + 0.42 * self.middle + 0.3 * self.grain + self.grains(0.03, 0.5)
+        tone = np.clip(tone, 0.25, 2.2)
         broad, middle = _half(self.broad), _half(self.middle)
         dryness = np.clip(0.3 + 0.7 * broad + 0.25 * middle, 0, 1)[..., None]
         bare = np.clip(1.5 * (middle - broad) - 0.8, 0, 1)[..., None]
@@ -451,10 +464,12 @@ class _Canvas:
         return tone, color + (_SOIL - color) * bare
 
     def gravel(self) -> Layer:
-        return np.clip(1 + 0.15 * self.middle + 0.35 * self.grain, 0.4, 1.8), _GRAVEL
+        tone = 1 + 0.15 * self.middle + 0.3 * self.grain + self.grains(0.02, 0.4)
+        return np.clip(tone, 0.3, 1.9), _GRAVEL
 
     def asphalt(self, layers: Layers, wear: float) -> Layer:
-        tone = 1 + 0.12 * self.broad + 0.05 * self.middle + 0.12 * self.grain
+        tone = 1 + 0.12 * self.broad + 0.07 * self.middle + 0.05 * self.grain
+        tone += self.grains(_AGGREGATE_M, 0.32)
         tone *= np.float32(0.10 + 0.06 * wear)
         tone *= 1 + np.float32(0.22 * wear - 0.16) * self.blurred(self.mask(layers.tracks), 0.16)
         tone *= 1 - 0.32 * self.mask(layers.patches)
@@ -462,7 +477,8 @@ class _Canvas:
         return tone, _ASPHALT
 
     def slabs(self) -> Layer:
-        return 1 + 0.1 * self.broad + 0.06 * self.middle + 0.11 * self.grain, _SLAB
+        tone = 1 + 0.1 * self.broad + 0.06 * self.middle + 0.08 * self.grain
+        return tone + self.grains(_AGGREGATE_M, 0.2), _SLAB
 
     def draw_lines(self, tone: Image, color: Image, paints: Sequence[Paint], wear: float) -> None:
         """Paint, worn away where noise says so."""
