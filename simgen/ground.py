@@ -6,6 +6,7 @@ alias. Everything lies in world coordinates: nothing repeats, and the next frame
 the same road.
 
 A map is painted in layers: land, verge, asphalt, pavement, kerb, paint; each with its own noise.
+Where it is wet, water comes last: it darkens the map, and a second map says how smooth it is.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from simgen.geometry import Array
 from simgen.markings import Paint, median_outlines
 from simgen.mesh import Part, part
 from simgen.noise import fractal
-from simgen.recipe import SceneSpec
+from simgen.recipe import SceneSpec, SkySpec
 from simgen.roads import Lane, Network, Surface, at_station, stations, strip
 from simgen.scene import GroundRing
 from simgen.schema import LABELS
 from simgen.site import Site, rings
+from simgen.wetness import FILM_FROM, Water, darkening, roughness, settle
 
 NUM_BANDS = 6
 """The last one is everything that is left: behind, beside, and far away."""
@@ -137,10 +139,10 @@ def build(
     pieces = _cut(site.network, all_bands, T_world_rig, far_low, far_high)
     seed = int(spec.stream("ground").integers(1 << 31))
     with ThreadPoolExecutor(max_workers=2) as pool:
-        images = list(pool.map(lambda band: _paint(band, layers, spec, seed), all_bands))
+        maps = list(pool.map(lambda band: _paint(band, layers, spec, seed), all_bands))
     return [
-        GroundRing(_textured(surfaces, band), image)
-        for surfaces, band, image in zip(pieces, all_bands, images, strict=True)
+        GroundRing(_textured(surfaces, band), *images)
+        for surfaces, band, images in zip(pieces, all_bands, maps, strict=True)
     ]
 
 
@@ -340,19 +342,24 @@ _AGGREGATE_M = 0.009
 """diameter of the stones in asphalt and concrete"""
 
 
-def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> NDArray[np.uint8]:
-    """The map of one band: (H, W, 3) sRGB."""
+Maps = tuple[NDArray[np.uint8], NDArray[np.uint8] | None]
+"""((H, W, 3) sRGB, (H/2, W/2) roughness where the ground shines)"""
+
+
+def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> Maps:
+    """The maps of one band."""
     canvas = _Canvas(band, seed)
     wear = spec.road.wear
     road, pavement = canvas.mask(layers.asphalt), canvas.mask(layers.pavement)
     median = canvas.mask(layers.median)
     shoulder = np.clip(1.6 * canvas.blurred(np.maximum(road, pavement), 0.5), 0, 1) * 0.8
     kerb = pavement - _eroded(pavement, canvas.sigma(0.14))
+    tracks = canvas.blurred(canvas.mask(layers.tracks), 0.16)
 
     tone, color = canvas.land()
     for share, (layer_tone, layer_color) in (
         (shoulder, canvas.gravel()),
-        (road, canvas.asphalt(layers, wear)),
+        (road, canvas.asphalt(layers, tracks, wear)),
         (median * 0.9, canvas.gravel()),
         (pavement, canvas.slabs()),
         (kerb, (1 + 0.12 * canvas.grain, _KERB)),
@@ -362,7 +369,20 @@ def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> NDArray[np
     tone *= 1 - 0.6 * np.maximum(road, pavement) * canvas.mask(layers.seams, thin=0.01)
     canvas.cover(tone, color, layers.covers)
     canvas.draw_lines(tone, color, layers.paint, wear)
-    return _encoded(tone, color)
+    gloss = None
+    if spec.sky.wetness > 0:
+        water = canvas.water(tracks, road * canvas.blurred(kerb, 0.3), spec.sky.wetness)
+        color *= darkening(color * _half(tone)[..., None], water)
+        gloss = _gloss(canvas, water, np.maximum(road, pavement), spec.sky)
+    return _encoded(tone, color), gloss
+
+
+def _gloss(canvas: _Canvas, water: Water, paved: Image, sky: SkySpec) -> NDArray[np.uint8] | None:
+    if sky.wetness < FILM_FROM:
+        return None
+    return roughness(
+        water, _half(paved), _half(canvas.middle), wetness=sky.wetness, rain_mm_h=sky.rain_mm_h
+    )
 
 
 def _half(image: Image) -> Image:
@@ -397,7 +417,7 @@ class _Canvas:
     """
 
     def __init__(self, band: Band, seed: int) -> None:
-        self.band = band
+        self.band, self.seed = band, seed
         self.texel = np.linalg.norm(band.A[:, :2], axis=0)  # (across, along) [m]
         self.broad = self._noise(64.0, 6, seed, gain=0.55)
         self.middle = self._noise(1.8, 5, seed + 1, gain=0.65)
@@ -467,11 +487,11 @@ class _Canvas:
         tone = 1 + 0.15 * self.middle + 0.3 * self.grain + self.grains(0.02, 0.4)
         return np.clip(tone, 0.3, 1.9), _GRAVEL
 
-    def asphalt(self, layers: Layers, wear: float) -> Layer:
+    def asphalt(self, layers: Layers, tracks: Image, wear: float) -> Layer:
         tone = 1 + 0.12 * self.broad + 0.07 * self.middle + 0.05 * self.grain
         tone += self.grains(_AGGREGATE_M, 0.32)
         tone *= np.float32(0.10 + 0.06 * wear)
-        tone *= 1 + np.float32(0.22 * wear - 0.16) * self.blurred(self.mask(layers.tracks), 0.16)
+        tone *= 1 + np.float32(0.22 * wear - 0.16) * tracks
         tone *= 1 - 0.32 * self.mask(layers.patches)
         tone *= 1 - 0.45 * self.blurred(self.mask(_discs(layers.stains)), 0.05)
         return tone, _ASPHALT
@@ -479,6 +499,30 @@ class _Canvas:
     def slabs(self) -> Layer:
         tone = 1 + 0.1 * self.broad + 0.06 * self.middle + 0.08 * self.grain
         return tone + self.grains(_AGGREGATE_M, 0.2), _SLAB
+
+    def water(self, tracks: Image, gutters: Image, wetness: float) -> Water:
+        """Where water lies, at half the resolution."""
+        return settle(
+            self._hollows(), _half(tracks), np.minimum(5 * _half(gutters), 1), wetness=wetness
+        )
+
+    def _hollows(self) -> Image:
+        """Unevenness of the ground, about ±1, at half the resolution.
+
+        Made on a raster that reaches beyond the band: along the rim of a raster, long waves are
+        not quite those of its neighbour, and puddles would end there.
+        """
+        h, w = self.band.shape
+        step = np.maximum(2.0, np.round(0.12 / self.texel))
+        margin = np.ceil(1.5 / (step * self.texel))
+        columns, rows = (np.ceil([w, h] / step) + 2 * margin).astype(int)
+        A = self.band.A @ np.vstack([np.column_stack([np.diag(step), -step * margin]), [0, 0, 1]])
+        coarse = fractal((rows, columns), wavelength=9.0, octaves=6, gain=0.55,
+                         seed=self.seed + 3, A=A)  # fmt: skip
+        to_coarse = np.column_stack([np.diag(2 / step), 0.5 / step + margin])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        fine: Image = cv2.warpAffine(coarse, to_coarse, (w // 2, h // 2), flags=flags)
+        return fine
 
     def draw_lines(self, tone: Image, color: Image, paints: Sequence[Paint], wear: float) -> None:
         """Paint, worn away where noise says so."""

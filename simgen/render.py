@@ -67,7 +67,10 @@ class Timings:
 def render(
     scene: Scene, camera: Camera, *, spp: int, denoise: bool, seed: int
 ) -> tuple[Image, Features, Timings]:
-    """Linear radiance (H, W, 3) without haze, and the first-hit features."""
+    """Linear radiance (H, W, 3) without haze, and the first-hit features.
+
+    Raises ArithmeticError if any of it is not finite.
+    """
     start = time.perf_counter()
     surfaces, noisy_albedo = _trace_paths(scene, camera, spp, seed)
     traced = time.perf_counter()
@@ -77,6 +80,8 @@ def render(
         irradiance = _denoised(surfaces / noisy_albedo, features)
         surfaces = irradiance * _lifted(features.albedo, features.coverage)
     radiance = surfaces + features.sky
+    if not np.isfinite(radiance).all():
+        raise ArithmeticError("render: the radiance is not finite everywhere")
     done = time.perf_counter()
     return radiance, features, Timings(traced - start, measured - traced, done - measured)
 

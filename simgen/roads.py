@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,13 +109,28 @@ class Network:
 
 
 def build(spec: SceneSpec, opendrive_map: bytes = b"") -> Network:
-    """Builds the network of a scene; ``opendrive_map`` is an OpenDRIVE file to drive through."""
-    if opendrive_map:
-        return _moved(_read_given(opendrive_map, spec))
-    plan = _Plan(spec)
-    raw = _read(plan, spec)
-    lane, station = _choose_rig_lane(raw, spec, rng=spec.stream("rig lane"))
-    return _moved(replace(raw, rig_lane=lane, rig_station=station))
+    """Builds the network of a scene; ``opendrive_map`` is an OpenDRIVE file to drive through.
+
+    Raises RuntimeError where roadgen's triangulation gives up.
+    """
+    with _panics_raised():
+        if opendrive_map:
+            return _moved(_read_given(opendrive_map, spec))
+        plan = _Plan(spec)
+        raw = _read(plan, spec)
+        lane, station = _choose_rig_lane(raw, spec, rng=spec.stream("rig lane"))
+        return _moved(replace(raw, rig_lane=lane, rig_station=station))
+
+
+@contextmanager
+def _panics_raised() -> Iterator[None]:
+    """A panic of roadgen's Rust core is no Exception, and cannot be pickled: makes it one."""
+    try:
+        yield
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        raise RuntimeError(f"roadgen gave up on the terrain: {error}") from None
 
 
 # --- lines ---------------------------------------------------------------------------------------

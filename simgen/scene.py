@@ -3,7 +3,8 @@
 Every scene has the same *slots* (mesh + BSDF), filled or not, so that the renderer compiles its
 kernels once. A material that is coloured by a sheet has two slots: the sheet itself, and a
 filtered copy for surfaces far away, since Mitsuba has no mip-maps. The ground has one slot per
-ring of its ortho maps.
+ring of its ortho maps. Ground that shines, since it is wet, has another BSDF: one structure
+more, with kernels of its own, which a process compiles at its first wet scene.
 
 A *face id* counts the faces of all slots in slot order; ground truth is looked up by it.
 """
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from simgen.materials import FAR_SHEET_FACTOR, FAR_SHEET_M, MATERIALS, Material
 from simgen.mesh import Part, flat
 from simgen.sheets import Sheet, filtered
+from simgen.wetness import SPECULAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,8 @@ class GroundRing:
     """uv in [0, 1]² of the map; v = 0 is its first row"""
     image: NDArray[np.uint8]
     """(H, W, 3) sRGB"""
+    roughness: NDArray[np.uint8] | None = None
+    """(h, w) of ground that shines, 255 = 1; for all rings of a scene or for none"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +179,18 @@ def _check(parts: Sequence[Part]) -> None:
 
 def _ground_slot(i: int, ring: GroundRing, material: Material) -> _Slot:
     texture = _texture(ring.image, wrap="clamp")
-    return _Slot(f"ground_{i}", ring.parts, _bsdf(material, texture), material)
+    bsdf = _bsdf(material, texture)
+    if ring.roughness is not None:
+        gloss = {**_texture(ring.roughness, wrap="clamp"), "raw": True}
+        bsdf = _wet(texture, gloss)
+    return _Slot(f"ground_{i}", ring.parts, bsdf, material)
+
+
+def _wet(texture: dict[str, Any], gloss: dict[str, Any]) -> dict[str, Any]:
+    """Ground under water, as rough as the bitmap ``gloss`` says."""
+    water = {"type": "principled", "base_color": texture, "roughness": gloss,
+             "specular": SPECULAR}  # fmt: skip
+    return {"type": "twosided", "bsdf": water}
 
 
 def _near_and_far(
@@ -256,7 +271,21 @@ def _merged_geometry(parts: Sequence[Part]) -> tuple[NDArray[np.float32], NDArra
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts[:-1]])
     vertices = np.concatenate([p.vertices for p in parts]).astype(np.float32)
     faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=True)])
-    return vertices, faces.astype(np.uint32)
+    return vertices, _led_by_short_edges(vertices, faces).astype(np.uint32)
+
+
+def _led_by_short_edges(
+    vertices: NDArray[np.float32], faces: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Faces that begin with the corner opposite their longest edge.
+
+    Mitsuba solves for barycentric coordinates in the two edges at the first corner, in float32: of
+    a kerb's edge of 100 m by 1 cm, the two long ones gave NaN as the colour.
+    """
+    corners = vertices[faces]
+    opposite = np.stack([corners[:, k - 1] - corners[:, k - 2] for k in range(3)], axis=1)
+    first = np.argmax(np.einsum("fkc,fkc->fk", opposite, opposite), axis=1)
+    return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
 
 
 def _attribute(parts: Sequence[Part], name: str, size: int) -> NDArray[np.float32]:

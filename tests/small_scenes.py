@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from simgen.materials import MATERIALS
@@ -21,12 +21,17 @@ R_WORLD_FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 GREY = np.full((64, 64, 3), 128, np.uint8)
 
 
-def scene_of(parts: Sequence[Part], ground: Sequence[Part] = ()) -> Scene:
-    """The parts under a uniform sky."""
+def scene_of(
+    parts: Sequence[Part],
+    ground: Sequence[Part] = (),
+    *,
+    roughness: NDArray[np.uint8] | None = None,
+) -> Scene:
+    """The parts under a uniform sky; the ground shines if it has a map of ``roughness``."""
     metres = [name for name, m in MATERIALS.items() if m.color_by == "metres"]
     world = World(
         parts=list(parts),
-        ground=[GroundRing([p], GREY) for p in ground],
+        ground=[GroundRing([p], GREY, roughness) for p in ground],
         sheets={name: Sheet(GREY, 1.0) for name in metres},
         sign_atlas=GREY,
         sky=np.ones((16, 32, 3), np.float32),
