@@ -270,7 +270,7 @@ def _layers(site: Site, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
         seams=seams + [s for lane in pavements for s in _slab_joints(lane.centre, lane.width)],
         patches=[p for lane in lanes for p in _patches(lane.centre, lane.width, wear, rng)],
         covers=_scattered(driving, 0.012, (0.28, 0.36), rng),
-        stains=_scattered(lanes, 0.05 + 0.1 * wear, (0.08, 0.6), rng),
+        stains=_scattered(lanes, 0.04 + 0.08 * wear, (0.05, 0.45), rng),
     )  # fmt: skip
 
 
@@ -493,7 +493,8 @@ class _Canvas:
         tone *= np.float32(0.10 + 0.06 * wear)
         tone *= 1 + np.float32(0.22 * wear - 0.16) * tracks
         tone *= 1 - 0.32 * self.mask(layers.patches)
-        tone *= 1 - 0.45 * self.blurred(self.mask(_discs(layers.stains)), 0.05)
+        spread = np.clip(0.55 + 0.9 * self.middle + 0.4 * self.grain, 0, 1)
+        tone *= 1 - 0.42 * spread * self.blurred(self.mask(_discs(layers.stains)), 0.06)
         return tone, _ASPHALT
 
     def slabs(self) -> Layer:
