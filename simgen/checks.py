@@ -209,8 +209,9 @@ def _spread(values: NDArray[Any]) -> str:
 
 def _check_images(d: twoview.Direction, spec: Mapping[str, Any]) -> list[Finding]:
     """Whether the flow explains the right image by the left one, in daylight and on texture."""
-    if spec.get("daylight", {}).get("name") == "night":
-        return [not_applicable(name, d.where, "night") for name in NEED_TEXTURE]
+    if spec.get("daylight", {}).get("sun_elevation_deg", 90.0) < 0:
+        why = "the sun is below the horizon"
+        return [not_applicable(name, d.where, why) for name in NEED_TEXTURE]
     found = photometric.align(d.source.image, d.target.image, *twoview.clean_matches(d))
     if found.num < NUM_TEXTURED_MIN:
         why = f"{found.num} textured pixels, {NUM_TEXTURED_MIN} needed"

@@ -1,8 +1,9 @@
 """One frame as files that image tools read: OpenEXR with named channels, and PNG.
 
-Per camera ``camera-<c>.exr`` holds linear radiance R, G, B (rendered again from the spec), depth.Z
-[m], ids semantic and instance; per pair ``pair-<left>-<right>.exr`` holds flow.u, flow.v [px] and
-the status of both directions. Floats are 32 bit, so nothing is rounded.
+Per camera ``camera-<c>.exr`` holds linear radiance R, G, B (rendered again from the spec) as it
+reaches the sensor, through haze, rain and the drops on the glass; depth.Z [m], ids semantic and
+instance. Per pair ``pair-<left>-<right>.exr`` holds flow.u, flow.v [px] and the status of both
+directions. Floats are 32 bit, so nothing is rounded.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from simgen import __version__, daylight, glow, groundtruth, render, scene, sensor, world
+from simgen import __version__, daylight, glow, groundtruth, rain, render, scene, sensor, world
 from simgen.checks import check_frame
 from simgen.config import Job
 from simgen.engine import Engine, activate
@@ -61,6 +61,7 @@ class FramePlan:
     spec: SceneSpec
     drive: world.Drive
     posed: PosedRig
+    shower: rain.Shower | None
 
 
 def scene_of(frame_index: int, frames_per_scene: int) -> int:
@@ -84,7 +85,12 @@ def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:
     drive = world.drive(spec, step, job.opendrive)
     rng = stream(job.seed, index, attempt, "rig")
     posed = pose(job.rig, drive.T_world_vehicle, job.wh, rng=rng)
-    return FramePlan(index, attempt, scene_index, spec, drive, posed)
+    shower = rain.draw_shower(
+        spec.sky.rain_mm_h, spec.road.kind, dark=daylight.is_night(spec.sky),
+        num_lenses=0 if job.sensor == "ideal" else len(posed.cameras),
+        rng=stream(job.seed, index, attempt, "shower"),
+    )  # fmt: skip
+    return FramePlan(index, attempt, scene_index, spec, drive, posed, shower)
 
 
 def make_frame(job: Job, index: int, attempt: int) -> tuple[dict[str, Any], dict[str, float]]:
@@ -124,7 +130,7 @@ def load(plan: FramePlan, job: Job, watch: Stopwatch) -> tuple[scene.Scene, Any]
 def radiance(
     plan: FramePlan, job: Job, loaded: scene.Scene, sky: Any, watch: Stopwatch
 ) -> list[render.Image]:
-    """Linear radiance (H, W, 3) of every camera, haze included."""
+    """Linear radiance (H, W, 3) of every camera, haze and rain included."""
     air = daylight.airlight(sky)
     visibility_m = plan.spec.sky.visibility_m
     clear = []
@@ -139,7 +145,34 @@ def radiance(
     with watch("haze"), ThreadPoolExecutor() as pool:
         hazy = pool.map(lambda c: render.through_haze(c[0], c[1], c[2], air, visibility_m), clear)
         lit = (glow.emitted(loaded, c, visibility_m) for c in plan.posed.cameras)
-        return [image + light for image, light in zip(hazy, lit, strict=True)]
+        images = [image + light for image, light in zip(hazy, lit, strict=True)]
+    if plan.shower is None:
+        return images
+    with watch("rain"):
+        distances = [np.where(f.coverage > 0, f.distance_m, np.inf) for _, f, _ in clear]
+        return _in_rain(plan, job, plan.shower, images, distances, sky)
+
+
+def _in_rain(
+    plan: FramePlan,
+    job: Job,
+    shower: rain.Shower,
+    images: list[render.Image],
+    distances: list[render.Image],
+    sky: render.Image,
+) -> list[render.Image]:
+    """Radiances behind falling drops, which all cameras see, and behind those on each's glass."""
+    cameras, seed = plan.posed.cameras, (job.seed, plan.index, plan.attempt)
+    drops = rain.falling(shower, cameras, plan.drive.T_world_vehicle, rng=stream(*seed, "rain"))
+
+    def one(c: int) -> render.Image:
+        hidden = rain.streaks(drops, cameras[c], distances[c])
+        outside = rain.seen_through(images[c], hidden, sky)
+        num = shower.lens_drops[c] if shower.lens_drops else 0
+        return rain.through_wet_glass(outside, num, rng=stream(*seed, f"glass {c}"))
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(one, range(len(images))))
 
 
 def _develop(
@@ -235,6 +268,7 @@ def _spec_json(
         "scene": plan.spec.to_json(),
         "movers": movers,
         "opendrive": job.opendrive_sha256,
+        "rain": asdict(plan.shower) if plan.shower else None,
         "sensor": job.sensor,
         "exposure": [asdict(e) for e in exposures],
         "samples": {"spp": job.spp, "features_spp": render.FEATURE_SPP,

@@ -273,9 +273,9 @@ def test_flow_may_be_left_out(frame: Frame) -> None:
 
 
 def test_night_is_exempt_from_photometry_and_says_so(frame: Frame) -> None:
-    frame["spec"] = frame["spec"] | {"daylight": {"name": "night"}}
+    frame["spec"] = frame["spec"] | {"daylight": {"sun_elevation_deg": -0.5}}
     exempt = {f.check: f.detail for f in check(frame, thorough=True) if not f.applies}
-    assert exempt == dict.fromkeys(PHOTOMETRIC, "not applicable: night")
+    assert exempt == dict.fromkeys(PHOTOMETRIC, "not applicable: the sun is below the horizon")
 
 
 def test_images_without_texture_are_exempt_from_photometry_and_say_so(frame: Frame) -> None:
