@@ -33,7 +33,7 @@ MATERIALS: dict[str, Material] = {
     "wall_2": Material("metres"),
     "wall_3": Material("metres"),
     "roof": Material("metres"),
-    "bark": Material("metres", curved=True),
+    "bark": Material("metres"),
     "matte": Material("vertex", curved=True),
     "leaf": Material("vertex"),
     "paint": Material("vertex", "paint", curved=True),

@@ -11,10 +11,12 @@ A *face id* counts the faces of all slots in slot order; ground truth is looked 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +123,8 @@ def load(world: World, *, num_lamps: int) -> Scene:
     them, slots that are left over stay dark.
     """
     slots = _slots(world)
-    meshes = [_mesh(slot) for slot in slots]
+    with _no_expansion():
+        meshes = [_mesh(slot) for slot in slots]
     shapes = {f"slot_{i:02d}": m[0] for i, m in enumerate(meshes)}
     lights = {f"lamp_{i:02d}": x for i, x in enumerate(_lamp_dicts(world.lamps, num_lamps))}
     mi_scene = mi.load_dict(
@@ -236,6 +239,21 @@ def _bsdf(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
 
 # An unused slot holds one small triangle far below every scene.
 _NOWHERE = np.array([[0.0, 0.0, -900.0], [0.01, 0.0, -900.0], [0.0, 0.01, -900.0]])
+
+
+@contextmanager
+def _no_expansion() -> Iterator[None]:
+    """Sums vertex normals by atomic additions.
+
+    By default Dr.Jit gives each thread a copy of the target, whose size becomes part of the kernel:
+    every scene would compile.
+    """
+    threshold = dr.expand_threshold()
+    dr.set_expand_threshold(0)
+    try:
+        yield
+    finally:
+        dr.set_expand_threshold(threshold)
 
 
 def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
