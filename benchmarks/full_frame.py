@@ -1,6 +1,6 @@
 """Seconds per stage of full-size rig frames, peak memory, and kernels compiled, in one process.
 
-    python benchmarks/full_frame.py [--frames 4] [--size 2560x1440] [--night]
+    python benchmarks/full_frame.py [--frames 4] [--size 2560x1440] [--weather rain] [--daylight night]
 
 Prints a table to compare with the bar: at most 60 s per rig frame on two cores after the first
 frame, at most 12 s of it neither path tracing (with its first-hit features) nor denoising, at most
@@ -39,8 +39,10 @@ class Options:
     recipes: str = ""
     """comma-separated names; all if not given"""
     seed: int = 0
-    night: bool = False
-    """night scenes: another light structure, so other kernels"""
+    weather: str = "clear,partly_cloudy,overcast"
+    """presets; wet ground (rain, after_rain) is another structure, so other kernels"""
+    daylight: str = "morning,noon,afternoon"
+    """presets; below the horizon (night, some of dawn and dusk) lamps are another structure"""
     spp: int = RenderOptions(n=1).spp
 
 
@@ -50,7 +52,7 @@ def main(options: Options) -> None:
     engine.activate(chosen)
     job = resolve(
         RenderOptions(n=1, size=options.size, recipes=options.recipes, seed=options.seed,
-                      spp=options.spp, daylight="night" if options.night else ""),
+                      spp=options.spp, weather=options.weather, daylight=options.daylight),
         chosen.variant,
     )  # fmt: skip
     dr.set_flag(dr.JitFlag.KernelHistory, True)

@@ -36,6 +36,8 @@ time, and the same mean radiance to 4 digits."""
 FEATURE_SPP = 8
 MIN_ALBEDO = 0.03
 """Irradiance of darker surfaces is not divided further: black would blow the noise up."""
+EDGES_BELOW_M = 5000.0
+"""In clearer air than this [m], a mean distance at an edge is as good."""
 FLIP = np.diag([-1.0, -1.0, 1.0])
 
 
@@ -107,6 +109,8 @@ def mean_transmittance(features: Features, visibility_m: float) -> Image:
     is nearest and farthest around it, in the proportion that gives its mean. The sky does not
     count.
     """
+    if visibility_m >= EDGES_BELOW_M:
+        return transmittance(features.distance_m, visibility_m)
     around = np.ones((3, 3), np.uint8)
     distance_m, covered = features.distance_m, features.coverage > 0
     far = cv2.dilate(distance_m, around)
@@ -159,38 +163,33 @@ def load_sensor(camera: Camera, sampler: str = "independent") -> Any:
     )  # fmt: skip
 
 
+# The same sampler and seed give the same camera rays, so that passes of one integrator each see the
+# same samples. Nested in one "aov" integrator, they took twice the time (tests hold them equal).
+_PATHS = {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": RR_DEPTH, "hide_emitters": True}
+_ALBEDO = {"type": "aov", "aovs": "albedo:albedo"}
+_SURFACE = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"}
+_DISTANCE = {"type": "depth"}
+
+
 def _trace_paths(scene: Scene, camera: Camera, spp: int, seed: int) -> tuple[Image, Image]:
     """Radiance of the surfaces in view (H, W, 3), and the albedo (H, W, 3) of the same samples."""
-    integrator = mi.load_dict(
-        {
-            "type": "aov",
-            "aovs": "albedo:albedo",
-            "paths": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": RR_DEPTH,
-                      "hide_emitters": True},
-        }
-    )  # fmt: skip
-    image = _rendered(scene, integrator, load_sensor(camera), spp, seed)
-    return image[..., :3], np.maximum(_lifted(image[..., 4:7], image[..., 3]), 1e-4)
+    sensor = load_sensor(camera)
+    paths = _rendered(scene, _PATHS, sensor, spp, seed)
+    albedo = _rendered(scene, _ALBEDO, sensor, spp, seed)
+    return paths[..., :3], np.maximum(_lifted(albedo, paths[..., 3]), 1e-4)
 
 
 def _trace_features(scene: Scene, camera: Camera, seed: int) -> Features:
     """Stratified samples: with independent ones, edges and leaves had 1.3 times the true power
     in the finest octave."""
-    integrator = mi.load_dict(
-        {
-            "type": "aov",
-            "aovs": "albedo:albedo,normal:sh_normal",
-            "distance": {"type": "depth"},
-        }
-    )
     sensor = load_sensor(camera, "multijitter")
-    image = _rendered(scene, integrator, sensor, FEATURE_SPP, seed)
-    distance, coverage = image[..., 0], image[..., 3]
-    albedo, normal = image[..., 4:7], image[..., 7:10]
+    surface = _rendered(scene, _SURFACE, sensor, FEATURE_SPP, seed)
+    first_hit = _rendered(scene, _DISTANCE, sensor, FEATURE_SPP, seed)
+    distance, coverage = first_hit[..., 0], first_hit[..., 3]
     mean_distance = distance / np.maximum(coverage, 1e-6)
     sky = seen_through(scene.sky, camera.K, camera.T_world_cam[:3, :3], camera.wh)
     sky *= 1 - coverage[..., None]
-    return Features(albedo, normal, mean_distance, coverage, sky)
+    return Features(surface[..., :3], surface[..., 3:], mean_distance, coverage, sky)
 
 
 def _lifted(albedo: Image, coverage: Image) -> Image:
@@ -198,10 +197,9 @@ def _lifted(albedo: Image, coverage: Image) -> Image:
     return np.maximum(albedo, MIN_ALBEDO * coverage[..., None])
 
 
-def _rendered(scene: Scene, integrator: Any, sensor: Any, spp: int, seed: int) -> Image:
-    image = mi.render(
-        scene.mi_scene, integrator=integrator, sensor=sensor, spp=spp, seed=seed & 0xFFFFFFFF
-    )
+def _rendered(scene: Scene, integrator: dict[str, Any], sensor: Any, spp: int, seed: int) -> Image:
+    image = mi.render(scene.mi_scene, integrator=mi.load_dict(integrator), sensor=sensor, spp=spp,
+                      seed=seed & 0xFFFFFFFF)  # fmt: skip
     return np.array(image, dtype=np.float32)
 
 

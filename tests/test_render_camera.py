@@ -7,6 +7,7 @@ import pytest
 from small_scenes import camera, parallelogram, scene_of
 
 from simgen import groundtruth as gt
+from simgen import render as renderer
 from simgen.geometry import project, transform_points
 from simgen.render import load_sensor, render
 
@@ -113,3 +114,15 @@ def test_the_sky_we_add_is_the_sky_that_the_renderer_sees() -> None:
     theirs = np.array(mi.render(scene, integrator=path, sensor=render.load_sensor(seen), spp=16))
     ours = skymap.seen_through(sky, seen.K, seen.T_world_cam[:3, :3], seen.wh)
     np.testing.assert_allclose(ours, theirs[..., :3], atol=0.03)
+
+
+def test_passes_of_one_seed_see_the_same_samples(cam):
+    """Radiance and albedo are divided sample by sample: as if one integrator had held both."""
+    patch = in_view(cam, (-2, -2, 5), (4, 0, 1), (0, 3, 0.4), color=(0.8, 0.3, 0.1))
+    scene, sensor = scene_of([patch]), load_sensor(cam)
+    nested = {"type": "aov", "aovs": "albedo:albedo", "paths": renderer._PATHS}
+    both = renderer._rendered(scene, nested, sensor, 2, 7)
+    paths = renderer._rendered(scene, renderer._PATHS, sensor, 2, 7)
+    albedo = renderer._rendered(scene, renderer._ALBEDO, sensor, 2, 7)
+    assert albedo.max() > 0.5
+    np.testing.assert_array_equal(both, np.concatenate([paths, albedo], axis=-1))
