@@ -1,6 +1,6 @@
 """Seconds per stage of full-size rig frames, peak memory, and kernels compiled, in one process.
 
-    python benchmarks/full_frame.py [--frames 4] [--size 2560x1440] [--weather rain] [--daylight night]
+    python benchmarks/full_frame.py [--frames 4] [--size 2560x1440] [--weather rain]
 
 Prints a table to compare with the bar: at most 60 s per rig frame on two cores after the first
 frame, at most 12 s of it neither path tracing (with its first-hit features) nor denoising, at most

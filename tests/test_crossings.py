@@ -11,7 +11,7 @@ from test_ground import make_spec
 
 from simgen import bridges, crossings, roads, roadside, traffic, trolley, works
 from simgen.crossings import CLEARANCE_M, Crossing
-from simgen.layout import Layout
+from simgen.layout import Layout, Mover
 from simgen.mesh import Part
 from simgen.recipe import SceneSpec
 from simgen.schema import LABELS
@@ -76,7 +76,8 @@ STEPS = (bridges.over_the_road, works.road_works, traffic.moving, roadside.signa
 
 
 def _things(layout: Layout) -> list[Part]:
-    return [p for step in STEPS for model in step(layout) for p in model]
+    things = [thing for step in STEPS for thing in step(layout)]
+    return [p for t in things for p in (t.model if isinstance(t, Mover) else t)]
 
 
 def _layout(site: Site, spec: SceneSpec, crossing: Crossing | None) -> Layout:
