@@ -14,7 +14,7 @@ from simgen import __version__, engine
 from simgen.errors import UserError
 
 PACKAGES = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "scipy", "opencv-python-headless",
-            "shapely", "h5py", "isal", "hdf5plugin", "OpenEXR", "tyro", "pydantic",
+            "shapely", "h5py", "zlib-ng", "hdf5plugin", "OpenEXR", "tyro", "pydantic",
             "pebble")  # fmt: skip
 LOW_MEMORY_GB = 6.0
 """What one worker needs at 2560x1440."""

@@ -72,6 +72,20 @@ def test_the_same_content_gives_the_same_bytes(tmp_path, compression):
     assert _sha256(tmp_path / "shard-a.h5") == _sha256(tmp_path / "shard-b.h5")
 
 
+@pytest.mark.parametrize("compression", ["gzip", "zstd"])
+def test_bytes_do_not_depend_on_what_was_written_before(tmp_path, compression):
+    """A compressor that keeps its tables from call to call writes others now and then."""
+
+    def written(index):
+        path = tmp_path / "frame.h5"
+        write_frame(path, fakes.make_frame(0, index), pairs=fakes.PAIRS, compression=compression)
+        return path.read_bytes()
+
+    forwards = [written(i) for i in range(25)]
+    backwards = [written(i) for i in reversed(range(25))]
+    assert forwards == backwards[::-1]
+
+
 def test_the_content_hash_does_not_depend_on_the_compression(tmp_path):
     a, b = (_write(tmp_path / f"{c}.h5", 3, c) for c in COMPRESSIONS)
     assert a.content == b.content == content_sha256(fakes.make_frame(0, 3))
