@@ -34,6 +34,8 @@ from simgen.rig import PosedRig, pose
 from simgen.run import FrameRejected, FrameResult, FrameTask
 from simgen.store import write_frame
 
+M_ARENA_MAX = -8
+"""of glibc's malloc.h"""
 NIGHT_LAMPS = 16
 """Light slots of a night scene."""
 
@@ -290,8 +292,15 @@ def versions() -> dict[str, str]:
 
 def start(engine: Engine, threads: int) -> None:
     """Loads Mitsuba in a worker process."""
+    _share_one_arena()
     activate(engine, threads)
     cv2.setNumThreads(threads)
+
+
+def _share_one_arena() -> None:
+    """Lets all threads allocate in one place: what is free in arenas of their own stays there."""
+    if platform.libc_ver()[0] == "glibc":
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
 def render_frame_file(task: FrameTask) -> FrameResult:
@@ -308,6 +317,8 @@ def render_frame_file(task: FrameTask) -> FrameResult:
         )
     with watch("write"):
         write_frame(task.path, frame, pairs=job.rig.pairs, compression=job.compression)
+    del frame
+    free_memory()
     memory = psutil.Process()
     return FrameResult(task.index, task.attempt, {**seconds, **watch.seconds},
                        memory.memory_info().rss, memory.pid)  # fmt: skip
