@@ -25,9 +25,10 @@ NUM_TEXTURED_MIN = 500  # fewer textured pixels say nothing about a shift
 NEED_FLOW = ("flow", "vertical_flow")
 NEED_TEXTURE = ("photometric_shift", "photometric_offset", "photometric_match")
 FULL_ACCURACY_WIDTH = 320  # narrower images get proportionally wider photometric limits
-# So do shares of pixels below these widths, by the square: the pixels next to an end point then
-# belong to other leaves, windows and wheels, and grass and wires are thinner than a pixel.
+# So do shares of pixels below these widths: the pixels next to an end point then belong to other
+# leaves, windows and wheels.
 FULL_WIDTH = {"visible_depth": 160, "occluded_depth": 160, "instance": 320, "semantic": 320}
+STEEPER = ("visible_depth",)  # grass and wires, thinner than a pixel, count twice
 
 
 def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding]:
@@ -195,7 +196,8 @@ def _check_geometry(d: twoview.Direction, *, thorough: bool) -> list[Finding]:
             v,
             d.where,
             _spread(v),
-            limit=CHECKS[n].limit * max(1.0, FULL_WIDTH.get(n, 1) / width) ** 2,
+            limit=CHECKS[n].limit
+            * max(1.0, FULL_WIDTH.get(n, 1) / width) ** (2 if n in STEEPER else 1),
         )
         for n, v in values.items()
     ]
