@@ -1,0 +1,1 @@
+"""flowrect: online rectification of wide-baseline stereo, trained on what simgen renders."""
