@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simgen.geometry import Array as Float64
-from simgen.geometry import pixel_grid
+from simgen.geometry import inverse, pixel_grid
 from simgen.schema import OUT_OF_FRAME, VISIBLE
 from simgen.shards import Frame
 
@@ -107,15 +107,45 @@ def collate(items: Sequence[Correspondences]) -> Correspondences:
 
 
 def from_frame(frame: Frame, pair: int, *, num: int | None = None) -> Correspondences:
-    """Ground truth of one pair of a shard's frame, see ``from_flow``."""
+    """Ground truth of one pair of a shard's frame, see ``from_depth``."""
     left, right = frame.pairs[pair]
-    return from_flow(
-        frame.flow(pair),
-        frame.read("flow_status", pair),
+    K, T = frame.read("K"), frame.read("T_world_cam")
+    return from_depth(
         frame.read("depth", left),
-        frame.read("K", left),
-        frame.read("K", right),
+        frame.read("flow_status", pair),
+        K[left],
+        inverse(T[right]) @ T[left],
         num=num,
+    )
+
+
+def from_depth(
+    depth: NDArray[np.float32],
+    flow_status: NDArray[np.uint8],
+    K_left: Float64,
+    T_right_left: Float64,
+    *,
+    num: int | None = None,
+) -> Correspondences:
+    """Correspondences (N, …) of a regular sub-grid of the left pixels, in float64 from depth.
+
+    The same points as ``from_flow`` finds, without its rounding to float32 and without decoding
+    the flow. Arguments as there; T_right_left (4, 4).
+    """
+    rows, columns = _sub_grid(depth.shape, num)
+    z = depth[rows, columns].reshape(-1).astype(np.float64)
+    status = flow_status[rows, columns].reshape(-1)
+    rays_left = _rays(K_left, pixel_grid(depth.shape)[rows, columns].reshape(-1, 2))
+    inverse_z = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0)
+    towards = rays_left @ T_right_left[:3, :3].T + inverse_z[:, None] * T_right_left[:3, 3]
+    behind = towards[:, 2] <= 0
+    towards[behind] = (0.0, 0.0, -1.0)
+    return Correspondences(
+        rays_left=rays_left,
+        rays_right=_unit_z(towards),
+        visible=(status & VISIBLE) != 0,
+        in_frame=(status & OUT_OF_FRAME) == 0,
+        depth=z,
     )
 
 

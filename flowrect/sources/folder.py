@@ -1,0 +1,63 @@
+"""A plain folder: left/ and right/ hold images of the same names, calib.yaml the rig."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from flowrect.calibration import Calibration
+from flowrect.sample import Pair
+from flowrect.sources.files import IMAGE_SUFFIXES, read_rgb, undistorted
+from flowrect.sources.pairs import Pairs, digest_files
+from simgen.errors import UserError
+
+CALIBRATION = "calib.yaml"
+
+Item = tuple[Path, Path]  # left and right image
+
+
+def open_folder(folder: Path, *, trusted: bool = False) -> Pairs[Item]:
+    """The pairs by name.
+
+    Args:
+      trusted: the calibration is the truth, not only where a method starts from.
+    """
+    path = folder / CALIBRATION
+    items = _matched(folder)
+    return Pairs(
+        items,
+        partial(_read, Calibration.load(path), trusted, folder.name),
+        layout=f"{folder}: left/, right/ and {CALIBRATION}",
+        fingerprint=digest_files([path, *(image for item in items for image in item)]),
+    )
+
+
+def _matched(folder: Path) -> list[Item]:
+    left, right = (_images(folder / side) for side in ("left", "right"))
+    single = sorted(left.keys() ^ right.keys())
+    if single:
+        raise UserError(
+            f"{folder}: {len(single)} images stand in only one of left/ and right/, first "
+            f"{single[0]}. Both views of a pair need the same file name."
+        )
+    return [(left[name], right[name]) for name in sorted(left)]
+
+
+def _images(folder: Path) -> dict[str, Path]:
+    return {p.stem: p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES}
+
+
+def _read(rig: Calibration, trusted: bool, scene: str, item: Item) -> Pair:
+    left, right = (read_rgb(path) for path in item)
+    for image, path in ((left, item[0]), (right, item[1])):
+        rig.require_size((image.shape[1], image.shape[0]), str(path))
+    return Pair(
+        left=undistorted(left, rig.K_left, rig.dist_left),
+        right=undistorted(right, rig.K_right, rig.dist_right),
+        K_left=rig.K_left,
+        K_right=rig.K_right,
+        T_right_left=rig.T_right_left if trusted else None,
+        T_right_left_nominal=rig.T_right_left,
+        name=item[0].stem,
+        scene=scene,
+    )

@@ -1,0 +1,87 @@
+"""Pairs of a set that simgen has rendered, with exact ground truth."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from flowrect.correspondences import from_frame
+from flowrect.sample import Pair
+from flowrect.sources.pairs import Pairs, digest
+from simgen.errors import UserError
+from simgen.geometry import Array, inverse, rotation_from_vector
+from simgen.shards import ShardSet
+
+Item = tuple[int, int]  # frame index, position in the frame's list of pairs
+
+
+def open_shards(
+    folder: Path, split: str | None = None, *, truth_points: int | None = 2048
+) -> Pairs[Item]:
+    """Every pair of every frame, frame by frame.
+
+    Args:
+      split: "train", "test" or None for both; decided when the set was rendered (test: scene
+        index divisible by 10).
+      truth_points: about how many correspondences a pair carries; None: one per left pixel.
+    """
+    frames = ShardSet(folder, split)
+    if not frames:
+        raise UserError(_nothing(folder, split))
+    items = [(index, pair) for index in frames.indices for pair in range(len(frames[0].pairs))]
+    shards = [s for s in frames.manifest.shards if split in (None, s.split)]
+    missing = [s.name for s in shards if not (folder / s.name).is_file()]
+    if missing:
+        raise UserError(
+            f"{folder}: {len(missing)} of {len(shards)} shards are missing, first {missing[0]}. "
+            "Copy them anew, or run the same render command again."
+        )
+    frames.close()
+    return Pairs(
+        items,
+        partial(_read, frames, truth_points),
+        layout=f"{folder}: simgen shards, {split or 'train and test'}",
+        fingerprint=digest([f"{s.name} {s.sha256}" for s in shards] + [str(truth_points)]),
+    )
+
+
+def _nothing(folder: Path, split: str | None) -> str:
+    have = len(ShardSet(folder))
+    if not have:
+        return f'{folder}: a set without a frame. Run "simgen render" to the end first.'
+    return (
+        f"{folder}: no {split} frames among its {have}. Frames whose scene index is divisible by "
+        "10 are for testing, all others for training: render more pairs (a larger --n), or "
+        "without --split."
+    )
+
+
+def _read(frames: ShardSet, truth_points: int | None, item: Item) -> Pair:
+    index, position = item
+    frame = frames.frame(index)
+    left, right = frame.pairs[position]
+    K, T, T_nominal, drawn_deg = (
+        frame.read(name) for name in ("K", "T_world_cam", "T_world_cam_nominal", "perturbation_deg")
+    )
+    spec = frame.spec
+    return Pair(
+        left=frame.read("image", left),
+        right=frame.read("image", right),
+        K_left=K[left],
+        K_right=K[right],
+        T_right_left=inverse(T[right]) @ T[left],
+        T_right_left_nominal=inverse(T_nominal[right]) @ T_nominal[left],
+        turn_left=_turn(drawn_deg[left]),
+        turn_right=_turn(drawn_deg[right]),
+        truth=from_frame(frame, position, num=truth_points),
+        name=f"frame {index}, cameras {left} and {right}",
+        scene=str(frame.scene_index),
+        weather=str(spec["weather"]["name"]),
+        daylight=str(spec["daylight"]["name"]),
+    )
+
+
+def _turn(drawn_deg: Array) -> Array:
+    return rotation_from_vector(np.deg2rad(drawn_deg))
