@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from flowrect.sources.files import matrix, rotation
+from flowrect.files import matrix, rotation
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from flowrect.files import read_csv
 from flowrect.sources import carla_release, kitti, semi_truck
-from flowrect.sources.files import read_csv
 from flowrect.sources.folder import open_folder
 from flowrect.sources.pairs import Pairs
 from flowrect.sources.shards import open_shards

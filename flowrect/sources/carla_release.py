@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from flowrect.files import matrix, read_json, read_rgb, read_rows
 from flowrect.sample import Image, Pair
-from flowrect.sources.files import matrix, read_json, read_rgb, read_rows
 from flowrect.sources.pairs import Pairs, digest_files
 from simgen.errors import UserError
 from simgen.geometry import Array, intrinsics, inverse

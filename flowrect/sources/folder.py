@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from flowrect.calibration import Calibration
+from flowrect.files import IMAGE_SUFFIXES, read_rgb, undistorted
 from flowrect.sample import Pair
-from flowrect.sources.files import IMAGE_SUFFIXES, read_rgb, undistorted
 from flowrect.sources.pairs import Pairs, digest_files
 from simgen.errors import UserError
 

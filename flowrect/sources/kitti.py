@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from flowrect.files import matrix, read_rgb, read_rows, undistorted
 from flowrect.sample import Image, Pair
-from flowrect.sources.files import matrix, read_rgb, read_rows, undistorted
 from flowrect.sources.pairs import Pairs, digest_files
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, transform

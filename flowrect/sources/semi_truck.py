@@ -14,8 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from flowrect.files import matrix, read_json, read_rgb, read_rows, rotation, undistorted
 from flowrect.sample import Pair
-from flowrect.sources.files import matrix, read_json, read_rgb, read_rows, rotation, undistorted
 from flowrect.sources.pairs import Pairs, digest_files
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, transform

@@ -30,7 +30,6 @@ def open_shards(
     frames = ShardSet(folder, split)
     if not frames:
         raise UserError(_nothing(folder, split))
-    items = [(index, pair) for index in frames.indices for pair in range(len(frames[0].pairs))]
     shards = [s for s in frames.manifest.shards if split in (None, s.split)]
     missing = [s.name for s in shards if not (folder / s.name).is_file()]
     if missing:
@@ -38,9 +37,10 @@ def open_shards(
             f"{folder}: {len(missing)} of {len(shards)} shards are missing, first {missing[0]}. "
             "Copy them anew, or run the same render command again."
         )
+    num_pairs = len(frames[0].pairs)  # of the rig, the same for all frames
     frames.close()
     return Pairs(
-        items,
+        [(index, pair) for index in frames.indices for pair in range(num_pairs)],
         partial(_read, frames, truth_points),
         layout=f"{folder}: simgen shards, {split or 'train and test'}",
         fingerprint=digest([f"{s.name} {s.sha256}" for s in shards] + [str(truth_points)]),

@@ -1,4 +1,4 @@
-"""Reading what the file-based layouts have in common: images, lenses, JSON, CSV lists."""
+"""Reading files that people hand over: images, JSON, CSV lists, and numbers in them."""
 
 from __future__ import annotations
 
