@@ -168,19 +168,19 @@ def from_flow(
       num: about how many to keep, the same number for images of the same size; None: all pixels.
     """
     rows, columns = _sub_grid(flow.shape[:2], num)
-    uv = pixel_grid(flow.shape[:2])[rows, columns].reshape(-1, 2)
-    flow, status, z = (x[rows, columns] for x in (flow, flow_status, depth))
-    flow, status = flow.reshape(-1, 2).astype(np.float64), status.reshape(-1)
+    uv_left = pixel_grid(flow.shape[:2])[rows, columns].reshape(-1, 2)
+    moved = flow[rows, columns].reshape(-1, 2).astype(np.float64)
+    status = flow_status[rows, columns].reshape(-1)
     out_of_frame = (status & OUT_OF_FRAME) != 0
-    rays_right = _rays(K_right, uv + flow)
-    # Flow is stored as 0 behind the right camera; anywhere else flow 0 would end in the frame.
-    rays_right[out_of_frame & (flow == 0).all(-1)] = (0.0, 0.0, -1.0)
+    rays_right = _rays(K_right, uv_left + moved)
+    # Flow is stored as 0 behind the right camera; elsewhere a flow of 0 ends in the frame.
+    rays_right[out_of_frame & (moved == 0).all(-1)] = (0.0, 0.0, -1.0)
     return Correspondences(
-        rays_left=_rays(K_left, uv),
+        rays_left=_rays(K_left, uv_left),
         rays_right=rays_right,
         visible=(status & VISIBLE) != 0,
         in_frame=~out_of_frame,
-        depth=z.reshape(-1).astype(np.float64),
+        depth=depth[rows, columns].reshape(-1).astype(np.float64),
     )
 
 
