@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing, resized, sized
-from flowrect.sample import METRIC_WH, Image, Pair, Prepared
+from flowrect.sample import Image, Pair, Prepared
 from flowrect.turn import draw_turn, turned
 from simgen.geometry import Array, inverse, rotation_from_vector
 

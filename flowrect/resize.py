@@ -15,7 +15,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from flowrect.sample import METRIC_WH, Image, Pair, Prepared
+from flowrect.metrics import METRIC_WH
+from flowrect.sample import Image, Pair, Prepared
 from simgen.errors import UserError
 from simgen.geometry import Array
 

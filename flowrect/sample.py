@@ -21,8 +21,6 @@ from flowrect.correspondences import Correspondences
 from simgen.errors import UserError
 from simgen.geometry import Array
 
-METRIC_WH = (512, 256)
-"""where losses and metrics live, whatever the network's input (width, height) [px]"""
 MAX_OFF_CENTRE = 0.25
 """of the principal point from the image's centre, over the side: beyond it, K is not the image's"""
 
@@ -98,7 +96,7 @@ class Prepared(NamedTuple):
     input: Pair
     """at the network's input size"""
     metric: Pair
-    """at ``METRIC_WH``"""
+    """at ``metrics.METRIC_WH``"""
 
 
 @dataclass

@@ -14,8 +14,9 @@ from small_set import make_frame, write_set
 from flowrect.augment import Augmentation
 from flowrect.cache import cached
 from flowrect.loading import EpochBatches, Loading, PairLoader
+from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing, resized, sized
-from flowrect.sample import METRIC_WH, Batch, Pair, collate
+from flowrect.sample import Batch, Pair, collate
 from flowrect.sources import Pairs, open_source
 from simgen.errors import UserError
 from simgen.geometry import project

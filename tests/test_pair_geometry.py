@@ -11,8 +11,9 @@ import pytest
 from painted import SIGMA, WH, away_from_border, centroids, painted_pair
 
 from flowrect.augment import Augmentation, augmented, mirrored, recoloured, swapped
+from flowrect.metrics import METRIC_WH
 from flowrect.resize import Box, Sizing, cropped, resized, resized_image, sized
-from flowrect.sample import METRIC_WH, Pair
+from flowrect.sample import Pair
 from flowrect.turn import draw_turn, largest_keep, turned
 from simgen.errors import UserError
 from simgen.geometry import project
