@@ -45,14 +45,16 @@ def augmented(
     pair: Pair, sizing: Sizing, options: Augmentation, *, rng: np.random.Generator
 ) -> Prepared:
     """A fresh sight of the pair at the network's size and at ``METRIC_WH``."""
-    if rng.random() < options.swap:
-        pair = swapped(pair)
-    if rng.random() < options.mirror:
-        pair = mirrored(pair)
-    prepared = _turned_afresh(pair, sizing, options.turn_deg, rng) if options.turn_deg else None
-    prepared = prepared or sized(pair, sizing)
-    left, right = (draw_colours(i, options, rng=rng) for i in (pair.left, pair.right))
-    return Prepared(*(recoloured(p, left, right) for p in prepared))
+    swap, mirror = rng.random() < options.swap, rng.random() < options.mirror
+    pair = swapped(pair) if swap else pair
+    if options.turn_deg:
+        prepared = _turned_afresh(pair, sizing, options.turn_deg, rng)
+    else:
+        prepared = sized(pair, sizing)
+    left, right = prepared.input.left, prepared.input.right
+    colours = draw_colours(left, options, rng=rng), draw_colours(right, options, rng=rng)
+    coloured = (recoloured(p, *colours) for p in prepared)
+    return Prepared(*(mirrored(p) if mirror else p for p in coloured))
 
 
 def _turned_afresh(
@@ -128,7 +130,7 @@ def draw_colours(image: Image, options: Augmentation, *, rng: np.random.Generato
     hue = rotation_from_vector(angle / np.sqrt(3) * np.ones(3))
     grey = np.outer(np.ones(3), LUMA)
     linear = contrast * (saturation * np.eye(3) + (1 - saturation) * grey) @ hue
-    mean_luma = LUMA @ image[::4, ::4].mean(axis=(0, 1))
+    mean_luma = LUMA @ image.mean(axis=(0, 1))
     offset = np.full((3, 1), (1 - contrast) * mean_luma)
     return brightness * np.hstack([linear, offset])
 

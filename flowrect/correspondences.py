@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simgen.geometry import Array as Float64
-from simgen.geometry import inverse, pixel_grid
+from simgen.geometry import inverse
 from simgen.schema import OUT_OF_FRAME, VISIBLE
 from simgen.shards import Frame
 
@@ -135,7 +135,7 @@ def from_depth(
     rows, columns = _sub_grid(depth.shape, num)
     z = depth[rows, columns].reshape(-1).astype(np.float64)
     status = flow_status[rows, columns].reshape(-1)
-    rays_left = _rays(K_left, pixel_grid(depth.shape)[rows, columns].reshape(-1, 2))
+    rays_left = _rays(K_left, _pixels(depth.shape, rows, columns))
     inverse_z = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0)
     towards = rays_left @ T_right_left[:3, :3].T + inverse_z[:, None] * T_right_left[:3, 3]
     behind = towards[:, 2] <= 0
@@ -168,7 +168,7 @@ def from_flow(
       num: about how many to keep, the same number for images of the same size; None: all pixels.
     """
     rows, columns = _sub_grid(flow.shape[:2], num)
-    uv_left = pixel_grid(flow.shape[:2])[rows, columns].reshape(-1, 2)
+    uv_left = _pixels(flow.shape[:2], rows, columns)
     moved = flow[rows, columns].reshape(-1, 2).astype(np.float64)
     status = flow_status[rows, columns].reshape(-1)
     out_of_frame = (status & OUT_OF_FRAME) != 0
@@ -189,6 +189,12 @@ def _sub_grid(hw: tuple[int, ...], num: int | None) -> tuple[slice, slice]:
     h, w = hw
     step = 1 if num is None else max(1, round((h * w / num) ** 0.5))
     return slice((h - 1) % step // 2, None, step), slice((w - 1) % step // 2, None, step)
+
+
+def _pixels(hw: tuple[int, ...], rows: slice, columns: slice) -> Float64:
+    """Pixel centres (N, 2) of the sub-grid as (u, v), row by row."""
+    u, v = np.meshgrid(np.arange(hw[1])[columns], np.arange(hw[0])[rows])
+    return np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float64)
 
 
 def _rays(K: Float64, uv: Float64) -> Float64:

@@ -1,6 +1,6 @@
 """Windows of an image: crop about the centre, then an area filter, with K exact at every step.
 
-A *window* is a box of whole native pixels with the aspect of the network's input (2:1), centred
+A *window* is a box of whole native pixels, twice as wide as high like the network's input, centred
 in the image; ``keep`` says how much of the largest such box it takes. Cutting columns and rows
 only shifts the principal point; resizing by s takes f to s f and c to s (c + ½) − ½, since images
 begin at −½. Ground truth is untouched by either: it travels as rays.
@@ -9,7 +9,6 @@ begin at −½. Ground truth is untouched by either: it travels as rays.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import gcd
 from typing import Literal
 
 import cv2
@@ -47,7 +46,7 @@ class Sizing:
         w, h = self.input_wh
         if min(w, h) < 1 or not 0 < self.keep <= 1:
             raise UserError(f"{self}: expected a positive size and 0 < keep <= 1.")
-        if self.fit == "crop" and w * METRIC_WH[1] != h * METRIC_WH[0]:
+        if self.fit == "crop" and w != 2 * h:
             raise UserError(
                 f"input_wh {w}x{h}: expected twice as wide as high, like the {METRIC_WH[0]}x"
                 f"{METRIC_WH[1]} of the losses. Take {2 * h}x{h}, or fit = stretch."
@@ -55,13 +54,13 @@ class Sizing:
 
     def box(self, wh: tuple[int, int]) -> Box:
         """The window of an image of size ``wh``."""
-        w, h = wh
-        divisor = gcd(*self.input_wh) if self.fit == "crop" else gcd(w, h)
-        unit_w, unit_h = (n // divisor for n in (self.input_wh if self.fit == "crop" else wh))
-        units = int(self.keep * min(w // unit_w, h // unit_h) + 1e-9)
-        if units < 1:
-            raise UserError(f"an image of {w}x{h} holds no window of {unit_w}:{unit_h}.")
-        width, height = units * unit_w, units * unit_h
+        (w, h), keep = wh, self.keep + 1e-9
+        width, height = int(keep * w), int(keep * h)
+        if self.fit == "crop":
+            height = int(keep * min(h, w // 2))
+            width = 2 * height
+        if not width or not height:
+            raise UserError(f"an image of {w}x{h} is too small to cut a window from.")
         return Box((w - width) // 2, (h - height) // 2, width, height)
 
 

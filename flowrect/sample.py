@@ -79,7 +79,7 @@ def _require_same_size(name: str, left: Image, right: Image) -> None:
 
 def _require_fit(what: str, K: Array, wh: tuple[int, int]) -> None:
     K = np.asarray(K)
-    if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1])):
+    if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0 and tuple(K[2]) == (0, 0, 1)):
         raise UserError(f"{what} is\n{K}\nexpected (3, 3): fx 0 cx / 0 fy cy / 0 0 1, in pixels.")
     centre = (np.asarray(wh) - 1) / 2
     if np.any(np.abs(K[:2, 2] - centre) > MAX_OFF_CENTRE * np.asarray(wh)):

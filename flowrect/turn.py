@@ -21,7 +21,8 @@ from simgen.errors import UserError
 from simgen.geometry import Array, project, rotation_from_vector, transform
 
 OVERSAMPLING = 2
-"""the warp interpolates on a grid so much finer, and an area filter reduces it: crops stay sharp"""
+"""where the image has the pixels, the warp interpolates on a grid so much finer than the result,
+and an area filter reduces it: neither blurred nor aliased"""
 _EDGE = 64  # pixels so small that the centre of the last one is the window's edge
 
 
@@ -41,7 +42,8 @@ def turned(pair: Pair, turn_left: Array, turn_right: Array, box: Box, wh: tuple[
     Raises UserError if the window would show a place that the old images do not.
     """
     G_left, G_right = turn_left.T @ pair.turn_left, turn_right.T @ pair.turn_right
-    fine = OVERSAMPLING * wh[0], OVERSAMPLING * wh[1]
+    finer = min(OVERSAMPLING, max(1, round(box.width / wh[0])))
+    fine = finer * wh[0], finer * wh[1]
     source = _reduced(pair, box, fine)
     K_left, K_right = (window_intrinsics(K, box, fine) for K in (pair.K_left, pair.K_right))
     warped = replace(

@@ -12,7 +12,7 @@ from painted import SIGMA, WH, away_from_border, centroids, painted_pair
 
 from flowrect.augment import Augmentation, augmented, mirrored, recoloured, swapped
 from flowrect.metrics import METRIC_WH
-from flowrect.resize import Box, Sizing, cropped, resized, resized_image, sized
+from flowrect.resize import Box, Sizing, cropped, resized, resized_image, sized, window_intrinsics
 from flowrect.sample import Pair
 from flowrect.turn import draw_turn, largest_keep, turned
 from simgen.errors import UserError
@@ -109,7 +109,8 @@ def test_window_of_a_rendered_frame_is_the_middle_2_to_1() -> None:
     assert Sizing().box((2560, 1440)) == Box(0, 80, 2560, 1280)
     assert Sizing((1024, 512)).box((512, 288)) == Box(0, 16, 512, 256)
     assert Sizing().box((1242, 375)) == Box(246, 0, 750, 375)
-    assert Sizing((300, 200), fit="stretch").box((1242, 375)) == Box(0, 0, 1242, 375)
+    assert Sizing((300, 200), fit="stretch").box((1241, 376)) == Box(0, 0, 1241, 376)
+    assert Sizing((300, 200), fit="stretch", keep=0.9).box((1241, 376)) == Box(62, 19, 1116, 338)
 
 
 def test_whole_number_area_filter_is_the_block_mean() -> None:
@@ -132,23 +133,26 @@ def test_window_that_no_image_holds_is_refused() -> None:
         Sizing((640, 360))
     with pytest.raises(UserError, match=r"0 < keep <= 1"):
         Sizing(keep=0.0)
-    with pytest.raises(UserError, match=r"an image of 1x1 holds no window of 2:1"):
+    with pytest.raises(UserError, match=r"an image of 1x1 is too small"):
         Sizing().box((1, 1))
 
 
 # --- turns -------------------------------------------------------------------------------------
 
 
-def test_turned_equals_cv2_rectification_maps() -> None:
-    pair = replace(painted_pair(), left=_smooth(), right=_smooth())
-    result = _turned(pair)
-    fine = (1024, 512)
-    K_fine = np.diag([2.0, 2, 1]) @ result.K_left + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
-    G = result.turn_left.T @ pair.turn_left
-    maps = cv2.initUndistortRectifyMap(pair.K_left, None, G, K_fine, fine, cv2.CV_32FC1)
+@pytest.mark.parametrize("wh, finer", [(METRIC_WH, 1), ((256, 128), 2)])
+def test_turned_equals_cv2_rectification_maps(wh: tuple[int, int], finer: int) -> None:
+    pair, turn = replace(painted_pair(), left=_smooth(), right=_smooth()), np.eye(3)
+    result = turned(pair, turn, turn, BOX, wh)
+    fine = finer * wh[0], finer * wh[1]
+    K_fine = window_intrinsics(pair.K_left, BOX, fine)
+    maps = cv2.initUndistortRectifyMap(
+        pair.K_left, None, pair.turn_left, K_fine, fine, cv2.CV_32FC1
+    )
     remapped = cv2.remap(pair.left, *maps, cv2.INTER_LINEAR)
-    expected = cv2.resize(remapped, METRIC_WH, interpolation=cv2.INTER_AREA)
-    assert np.abs(result.left.astype(int) - expected).max() <= 1
+    expected = cv2.resize(remapped, wh, interpolation=cv2.INTER_AREA)
+    assert np.abs(result.left.astype(int) - expected).max() <= 2
+    assert np.abs(result.left.astype(int) - expected).mean() < 0.5
 
 
 def _smooth() -> np.ndarray:
@@ -162,7 +166,7 @@ def test_turning_to_the_present_turns_changes_no_pose() -> None:
     np.testing.assert_allclose(same.T_right_left, pair.T_right_left, atol=1e-14)
     window = resized(cropped(pair, BOX), METRIC_WH)
     np.testing.assert_allclose(same.K_left, window.K_left, atol=1e-12)
-    assert np.abs(same.left.astype(int) - window.left).max() <= 8  # interpolated on a finer grid
+    assert np.abs(same.left.astype(int) - window.left).max() <= 16  # interpolated, not averaged
 
 
 def test_rectified_real_pair_can_be_turned() -> None:

@@ -198,6 +198,15 @@ def test_kitti_list_finds_images_that_were_moved(tmp_path: Path) -> None:
     _require_dots(pairs[0], _points(), limit=0.1)
 
 
+def test_list_of_images_that_are_not_there_is_refused(tmp_path: Path) -> None:
+    drive = f"{DAY}_drive_0001_extract"
+    _kitti(tmp_path, "extract")
+    row = ["image_02/5.png", "image_03/5.png", f"{DAY}/calib_cam_to_cam.txt", DAY, drive]
+    (tmp_path / "list.csv").write_text(",".join(row) + "\n")
+    with pytest.raises(UserError, match=r"2 of 3 files are missing, first .*image_02/data/5.png"):
+        open_source(tmp_path / "list.csv")
+
+
 def test_kitti_images_of_another_size_are_refused(tmp_path: Path) -> None:
     _kitti(tmp_path, "sync")
     calib = tmp_path / DAY / "calib_cam_to_cam.txt"

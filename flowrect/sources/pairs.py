@@ -50,13 +50,12 @@ def digest(parts: Sequence[str]) -> str:
 
 
 def digest_files(paths: Sequence[Path]) -> str:
-    """sha256 of the names, sizes and times of files; those that are missing count as such."""
-    return digest([f"{path} {_stamp(path)}" for path in paths])
-
-
-def _stamp(path: Path) -> str:
-    try:
-        stat = path.stat()
-    except OSError:
-        return "missing"
-    return f"{stat.st_size} {stat.st_mtime_ns}"
+    """sha256 of the names, sizes and times of files; UserError if any is missing."""
+    missing = [path for path in paths if not path.is_file()]
+    if missing:
+        raise UserError(
+            f"{len(missing)} of {len(paths)} files are missing, first {missing[0]}. Complete the "
+            "set, or give the folder that the list's paths are relative to."
+        )
+    stats = [(path, path.stat()) for path in paths]
+    return digest([f"{path} {stat.st_size} {stat.st_mtime_ns}" for path, stat in stats])

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from flowrect.correspondences import from_frame
+from flowrect.correspondences import from_depth
 from flowrect.sample import Pair
 from flowrect.sources.pairs import Pairs, digest
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, rotation_from_vector
 from simgen.shards import ShardSet
 
-Item = tuple[int, int]  # frame index, position in the frame's list of pairs
+
+@dataclass(frozen=True)
+class Item:
+    """One pair of one frame."""
+
+    frame: int
+    """index in the set"""
+    position: int
+    """in the rig's list of pairs"""
+    cameras: tuple[int, int]
+    """(left, right)"""
 
 
 def open_shards(
@@ -37,10 +48,10 @@ def open_shards(
             f"{folder}: {len(missing)} of {len(shards)} shards are missing, first {missing[0]}. "
             "Copy them anew, or run the same render command again."
         )
-    num_pairs = len(frames[0].pairs)  # of the rig, the same for all frames
+    cameras = frames[0].pairs  # of the rig, the same for all frames
     frames.close()
     return Pairs(
-        [(index, pair) for index in frames.indices for pair in range(num_pairs)],
+        [Item(index, i, pair) for index in frames.indices for i, pair in enumerate(cameras)],
         partial(_read, frames, truth_points),
         layout=f"{folder}: simgen shards, {split or 'train and test'}",
         fingerprint=digest([f"{s.name} {s.sha256}" for s in shards] + [str(truth_points)]),
@@ -59,24 +70,23 @@ def _nothing(folder: Path, split: str | None) -> str:
 
 
 def _read(frames: ShardSet, truth_points: int | None, item: Item) -> Pair:
-    index, position = item
-    frame = frames.frame(index)
-    left, right = frame.pairs[position]
+    frame, (left, right) = frames.frame(item.frame), item.cameras
     K, T, T_nominal, drawn_deg = (
         frame.read(name) for name in ("K", "T_world_cam", "T_world_cam_nominal", "perturbation_deg")
     )
-    spec = frame.spec
+    spec, T_right_left = frame.spec, inverse(T[right]) @ T[left]
+    depth, status = frame.read("depth", left), frame.read("flow_status", item.position)
     return Pair(
         left=frame.read("image", left),
         right=frame.read("image", right),
         K_left=K[left],
         K_right=K[right],
-        T_right_left=inverse(T[right]) @ T[left],
+        T_right_left=T_right_left,
         T_right_left_nominal=inverse(T_nominal[right]) @ T_nominal[left],
         turn_left=_turn(drawn_deg[left]),
         turn_right=_turn(drawn_deg[right]),
-        truth=from_frame(frame, position, num=truth_points),
-        name=f"frame {index}, cameras {left} and {right}",
+        truth=from_depth(depth, status, K[left], T_right_left, num=truth_points),
+        name=f"frame {item.frame}, cameras {left} and {right}",
         scene=str(frame.scene_index),
         weather=str(spec["weather"]["name"]),
         daylight=str(spec["daylight"]["name"]),
