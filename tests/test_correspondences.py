@@ -215,7 +215,7 @@ def test_correspondences_need_no_torch():
 
 def test_unknown_name_is_refused_with_those_that_exist():
     with pytest.raises(
-        AttributeError, match="flowrect has no 'Rectifcation'; it has .*Rectification"
+        AttributeError, match=r"flowrect has no 'Rectifcation'; it has .*Rectification"
     ):
         flowrect.Rectifcation  # noqa: B018
     assert flowrect.Rectification is Rectification
