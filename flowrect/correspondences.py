@@ -68,7 +68,10 @@ class Correspondences:
         return Correspondences(self.rays_right, self.rays_left, self.visible, self.in_frame, depth)
 
     def mirrored(self) -> Correspondences:
-        """The same points seen in mirrored images: x of every ray changes its sign."""
+        """The same points in mirrored images: x of every ray changes its sign.
+
+        After ``swapped`` this is the truth of ``geometry.mirrored_swap``'s pose.
+        """
         return replace(self, rays_left=_mirror(self.rays_left), rays_right=_mirror(self.rays_right))
 
     def subset(self, index: Any) -> Correspondences:

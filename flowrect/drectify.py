@@ -97,9 +97,9 @@ def new_intrinsics(
         project(uncentred, unproject(K, corners) @ R_rect.mT).mean(-2)
         for K, R_rect in ((K_left, R_left), (K_right, R_right))
     ]
-    c = corners.mean(0) - 0.5 * (turned[0] + turned[1])
-    centre = torch.cat([c, torch.zeros_like(c[..., :1])], dim=-1)
-    return uncentred + F.pad(centre[..., None], (2, 0))
+    K_new = uncentred.clone()
+    K_new[..., :2, 2] = corners.mean(0) - 0.5 * (turned[0] + turned[1])
+    return K_new
 
 
 def source_positions(K: Tensor, R_rect: Tensor, K_new: Tensor, wh_out: tuple[int, int]) -> Tensor:

@@ -11,9 +11,10 @@ import torch
 from scipy.spatial.transform import Rotation
 from small_set import PAIRS, make_frame, write_set
 
+import flowrect
 from flowrect import geometry as g
 from flowrect.correspondences import Correspondences, collate, from_depth, from_flow, from_frame
-from flowrect.drectify import rectify
+from flowrect.drectify import Rectification, rectify
 from flowrect.losses import rectified_vertical_flow
 from simgen.flowfield import flow_from_depth
 from simgen.geometry import intrinsics, inverse, project, transform
@@ -189,6 +190,34 @@ def test_true_pose_leaves_no_vertical_flow(pair, worst):
     worst("vertical flow after rectification by the true pose", flow, 1e-3)
 
 
+def test_no_augmentation_makes_the_truth_inexact(worst):
+    c, wh = collate([truth_of(0)]), FRAME["depth"].shape[:0:-1]
+    R, t, K_left, K_right = (
+        torch.as_tensor(x)[None] for x in (*pose_of(0), FRAME["K"][0], FRAME["K"][1])
+    )
+    turns = Rotation.from_rotvec([[1.5, -2, 1], [-1, 2, -2]], degrees=True).as_matrix()
+    left, right = (torch.as_tensor(x)[None] for x in turns)
+    c, (R, t) = c.rotated(left=left, right=right), g.rotated(R, t, left=left, right=right)
+    mirrored = g.mirrored_swap(R, t, K_left, K_right, wh[0])
+    cases = {
+        "turned": (c, (R, t, K_left, K_right)),
+        "swapped": (c.swapped(R, t), (*g.swapped(R, t), K_right, K_left)),
+        "mirrored": (c.swapped(R, t).mirrored(), mirrored),
+    }
+    for name, (truth, rig) in cases.items():
+        flow, counted = rectified_vertical_flow(rectify(*rig, wh), truth, wh)
+        assert counted.float().mean() > 0.5
+        worst(f"vertical flow of a {name} pair, true pose", flow, 1e-5)
+
+
 def test_correspondences_need_no_torch():
-    code = "import sys, flowrect, flowrect.correspondences; sys.exit('torch' in sys.modules)"
+    code = "import sys; from flowrect import Correspondences; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_unknown_name_is_refused_with_those_that_exist():
+    with pytest.raises(
+        AttributeError, match=r"flowrect has no 'Rectifcation'; it has .*Rectification"
+    ):
+        flowrect.Rectifcation  # noqa: B018
+    assert flowrect.Rectification is Rectification

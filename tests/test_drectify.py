@@ -285,7 +285,12 @@ def test_gradient_with_respect_to_every_entry_of_the_nominal_rotation_is_right()
     K = torch.tensor([[[32.0, 0, 31.5], [0, 33, 17.5], [0, 0, 1]]]).double()
     R = torch.eye(3).double()[None].requires_grad_()
     t = torch.tensor([[-0.8, 0.0, 0.0]]).double()
-    assert torch.autograd.gradcheck(lambda R: rectify(R, t, K, K, WH).R_left, (R,))
+
+    def whole(R: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        rect = rectify(R, t, K, K, WH)
+        return rect.R_left, rect.R_right, rect.K_new
+
+    assert torch.autograd.gradcheck(whole, (R,))
 
 
 def test_gradient_flows_through_the_warped_image():
