@@ -77,6 +77,8 @@ class Layers:
     """Outlines on the ground, world xy."""
 
     asphalt: list[Array]
+    asphalt_color: tuple[float, float, float]
+    """linear, of mean 1"""
     pavement: list[Array]
     median: list[Array]
     paint: list[Paint]
@@ -262,6 +264,7 @@ def _layers(site: Site, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
     pavements = [lane for lane in network.lanes if lane.kind == "sidewalk"]
     return Layers(
         asphalt=rings(site.asphalt),
+        asphalt_color=_asphalt_color(wear, rng=spec.stream("stone")),
         pavement=rings(site.pavement),
         median=median_outlines(network),
         paint=list(paints),
@@ -272,6 +275,16 @@ def _layers(site: Site, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
         covers=_scattered(driving, 0.012, (0.28, 0.36), rng),
         stains=_scattered(lanes, 0.04 + 0.08 * wear, (0.05, 0.45), rng),
     )  # fmt: skip
+
+
+def _asphalt_color(wear: float, *, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Bitumen is black; as it wears off, the colour of the stones shows, more or less brown.
+
+    Source: Herold and Roberts, Spectral characteristics of asphalt road aging and deterioration
+    (Applied Optics, 2005): reflectance rises with age, and towards red.
+    """
+    brown = (0.3 + 0.7 * wear) * rng.uniform(0.1, 1.0)
+    return 1 + 0.10 * brown, 1.0, 1 - 0.17 * brown
 
 
 def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> list[Array]:
@@ -336,8 +349,7 @@ def _scattered(
 _GRASS = np.array([0.060, 0.092, 0.026], np.float32)
 _DRY = np.array([0.150, 0.135, 0.060], np.float32)
 _SOIL = np.array([0.120, 0.088, 0.058], np.float32)
-_GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.235, 0.225, 0.210), (0.300, 0.290, 0.270)
-_ASPHALT = (1.0, 0.985, 0.955)
+_GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.245, 0.225, 0.190), (0.310, 0.290, 0.252)
 _AGGREGATE_M = 0.009
 """diameter of the stones in asphalt and concrete"""
 
@@ -495,7 +507,7 @@ class _Canvas:
         tone *= 1 - 0.32 * self.mask(layers.patches)
         spread = np.clip(0.55 + 0.9 * self.middle + 0.4 * self.grain, 0, 1)
         tone *= 1 - 0.42 * spread * self.blurred(self.mask(_discs(layers.stains)), 0.06)
-        return tone, _ASPHALT
+        return tone, layers.asphalt_color
 
     def slabs(self) -> Layer:
         tone = 1 + 0.1 * self.broad + 0.06 * self.middle + 0.08 * self.grain
