@@ -20,7 +20,7 @@ $(READY): pyproject.toml constraints.txt
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV) 2>/dev/null || ( \
 	  echo "python3-venv is missing: installing it through apt"; \
 	  apt-get update -qq && apt-get install -y -qq python3-venv && $(PYTHON) -m venv $(VENV) )
-	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,flowrect]'
 	$(PY) -m simgen doctor --install-llvm
 	@touch $@
 

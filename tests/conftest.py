@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+# Tensors of tests are tiny: threads would only wait for each other, 10 times as long.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 WORST: dict[str, tuple[float, float, str]] = {}
 """name of a measured error → (worst, limit, unit)"""
 

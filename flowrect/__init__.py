@@ -1,0 +1,19 @@
+"""flowrect: online rectification of wide-baseline stereo, trained on what simgen renders.
+
+Names are loaded when they are first used: importing flowrect imports no torch.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "Correspondences": "flowrect.correspondences",
+    "Rectification": "flowrect.drectify",
+}
+__all__ = list(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"flowrect has no {name!r}; it has {', '.join(_HOME)}")
+    return getattr(import_module(_HOME[name]), name)
