@@ -283,8 +283,8 @@ def _asphalt_color(wear: float, *, rng: np.random.Generator) -> tuple[float, flo
     Source: Herold and Roberts, Spectral characteristics of asphalt road aging and deterioration
     (Applied Optics, 2005): reflectance rises with age, and towards red.
     """
-    brown = (0.3 + 0.7 * wear) * rng.uniform(0.1, 1.0)
-    return 1 + 0.10 * brown, 1.0, 1 - 0.17 * brown
+    brown = (0.3 + 0.7 * wear) * rng.uniform(0.3, 1.0)
+    return 1 + 0.13 * brown, 1.0, 1 - 0.24 * brown
 
 
 def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> list[Array]:
