@@ -29,7 +29,7 @@ def test_memory_is_flat_over_hundreds_of_frames(tmp_path: Path) -> None:
     killed = _kill_a_worker(tmp_path / "set" / "render.jsonl", render)
     assert render.wait() == 0
     log = _frames(tmp_path / "set" / "render.jsonl")
-    assert sorted(r["frame"] for r in log) == list(range(NUM_FRAMES))
+    assert sorted(r["index"] for r in log) == list(range(NUM_FRAMES))
 
     of_worker: dict[int, list[float]] = {}
     for r in log:
