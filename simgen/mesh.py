@@ -7,7 +7,7 @@ Faces wind counter-clockwise seen from outside. Colours are linear RGB albedos.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import product
@@ -206,6 +206,11 @@ def _meeting(point: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     mine = np.repeat(np.arange(len(point)), partners)
     step = np.arange(len(mine)) - np.repeat(np.cumsum(partners) - partners, partners)
     return mine, order[np.repeat(start[group], partners) + step]
+
+
+def blocks(num: int, size: int = 1 << 14) -> Iterator[slice]:
+    """Slices of 0..num, short enough that what is computed on one stays in the cache."""
+    return (slice(i, min(i + size, num)) for i in range(0, num, size))
 
 
 def box(size: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Vertices, Faces]:
