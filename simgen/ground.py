@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from simgen.color import srgb_from_linear
 from simgen.geometry import Array
 from simgen.markings import Paint, median_outlines
-from simgen.mesh import Part, part
+from simgen.mesh import Part, cross, part
 from simgen.noise import fractal
 from simgen.recipe import SceneSpec, SkySpec
-from simgen.roads import Lane, Network, Surface, at_station, stations, strip
+from simgen.roads import Lane, Network, Surface, at_station, points_at, stations, strip
 from simgen.scene import GroundRing
 from simgen.schema import LABELS
 from simgen.site import Site, rings
@@ -235,10 +235,8 @@ def split(surface: Surface, axis: Array, bound: float) -> tuple[Surface, Surface
 def _surface(vertices: Array, faces: list[NDArray[np.int64]]) -> Surface:
     """Only the vertices in use, without faces that have no area."""
     f = np.concatenate(faces)
-    area = np.linalg.norm(
-        np.cross(vertices[f[:, 1]] - vertices[f[:, 0]], vertices[f[:, 2]] - vertices[f[:, 0]]),
-        axis=1,
-    )
+    a, b, c = (vertices[corner] for corner in f.T)
+    area = np.linalg.norm(cross(b - a, c - a), axis=1)
     used, index = np.unique(f[area > 1e-9], return_inverse=True)
     return Surface(vertices[used], index.reshape(-1, 3))
 
@@ -297,7 +295,7 @@ def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> 
         heading = float(at_station(line, s)[1]) + (0.0 if along else np.pi / 2)
         turn = np.cumsum(rng.normal(0, 0.25, num)) + heading
         walk = np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1) * step, axis=0)
-        start = at_station(line, s)[0][:2] + rng.uniform(-0.4, 0.4, 2) * width
+        start = points_at(line, s)[:2] + rng.uniform(-0.4, 0.4, 2) * width
         cracks.append(_thin(walk + start, float(rng.uniform(0.006, 0.022))))
     return cracks
 
@@ -323,7 +321,7 @@ def _patches(line: Array, width: float, wear: float, rng: np.random.Generator) -
     out = []
     for s in rng.uniform(4, max(5, length - 4), rng.poisson(length * 0.012 * (0.3 + wear))):
         long_m, wide_m = float(rng.uniform(0.8, 12.0)), float(rng.uniform(0.5, 0.9 * width))
-        sub = at_station(line, np.linspace(s, min(length, s + long_m), 6))[0]
+        sub = points_at(line, np.linspace(s, min(length, s + long_m), 6))
         middle = float(rng.uniform(-0.5, 0.5)) * (width - wide_m)
         out.append(strip(sub, middle + wide_m / 2, middle - wide_m / 2)[:, :2])
     return out
@@ -337,7 +335,7 @@ def _scattered(
     for lane in lanes:
         length = stations(lane.centre)[-1]
         num = rng.poisson(per_m * length)
-        points = at_station(lane.centre, rng.uniform(0, length, num))[0][:, :2]
+        points = points_at(lane.centre, rng.uniform(0, length, num))[:, :2]
         points += rng.uniform(-0.45, 0.45, (num, 2)) * lane.width
         discs.append(np.column_stack([points, rng.uniform(*radius, num)]))
     return np.concatenate(discs)
