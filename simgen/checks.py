@@ -25,10 +25,6 @@ NUM_TEXTURED_MIN = 500  # fewer textured pixels say nothing about a shift
 NEED_FLOW = ("flow", "vertical_flow")
 NEED_TEXTURE = ("photometric_shift", "photometric_offset", "photometric_match")
 FULL_ACCURACY_WIDTH = 320  # narrower images get proportionally wider photometric limits
-# So do shares of pixels below these widths: the pixels next to an end point then belong to other
-# leaves, windows and wheels.
-FULL_WIDTH = {"visible_depth": 160, "occluded_depth": 160, "instance": 320, "semantic": 320}
-STEEPER = ("visible_depth",)  # grass and wires, thinner than a pixel, count twice
 
 
 def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding]:
@@ -188,19 +184,8 @@ def _check_status(d: twoview.Direction) -> list[Finding]:
 def _check_geometry(d: twoview.Direction, *, thorough: bool) -> list[Finding]:
     values = twoview.measure(d, thorough=thorough)
     wrong = values.pop("out_of_frame")
-    width = d.status.shape[1]
     findings = [judge("out_of_frame", wrong.max(initial=0), d.where, f"{wrong.size} pixels")]
-    return findings + [
-        judge(
-            n,
-            v,
-            d.where,
-            _spread(v),
-            limit=CHECKS[n].limit
-            * max(1.0, FULL_WIDTH.get(n, 1) / width) ** (2 if n in STEEPER else 1),
-        )
-        for n, v in values.items()
-    ]
+    return findings + [judge(n, v, d.where, _spread(v)) for n, v in values.items()]
 
 
 def _spread(values: NDArray[Any]) -> str:

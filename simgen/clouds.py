@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from simgen.geometry import Array
+from simgen.mesh import blocks
 from simgen.skymap import COARSE, DOME_HW, Image, dome_directions, enlarged, texel
 
 BASE_KM = 1.2
@@ -159,11 +160,21 @@ def _seen(field: _Field, d: Image, light: Light) -> tuple[Image, Image]:
 
 def _looked_up(tile: Image, at: Image, how: int = cv2.INTER_LINEAR) -> Image:
     """A square tile at (h, w, 2) columns and rows, counted in tiles; it repeats for ever."""
-    n = len(tile)
-    margin = 2  # OpenCV's own wrapping costs four times as much
-    padded = np.pad(tile, [(margin, margin)] * 2 + [(0, 0)] * (tile.ndim - 2), mode="wrap")
-    inside = (at - np.floor(at)) * np.float32(n) + np.float32(margin)
-    found: Image = cv2.remap(padded, inside, None, how)
+    return _sampled(_wrapped(tile), at, how)
+
+
+_MARGIN = 2
+
+
+def _wrapped(tile: Image) -> Image:
+    """The tile with a margin; OpenCV's own wrapping costs four times as much."""
+    return cv2.copyMakeBorder(tile, *[_MARGIN] * 4, cv2.BORDER_WRAP)
+
+
+def _sampled(wrapped: Image, at: Image, how: int = cv2.INTER_LINEAR) -> Image:
+    n = len(wrapped) - 2 * _MARGIN
+    inside = (at - np.floor(at)) * np.float32(n) + np.float32(_MARGIN)
+    found: Image = cv2.remap(wrapped, inside, None, how)
     return found
 
 
@@ -171,6 +182,18 @@ def _march(
     lumps: Image, raised: Image, base: Image, per_km: Image, reach: Image
 ) -> tuple[Image, Image, Image]:
     """Through the layer: what gets through, and direct and diffuse light on what does not."""
+    marched = np.empty((3, *raised.shape), np.float32)
+    wrapped = _wrapped(lumps)
+    for rows in blocks(len(raised), 32):  # they stay in the cache
+        marched[:, rows] = _march_rows(wrapped, raised[rows], base[rows], per_km[rows], reach[rows])
+    through, sunlit, diffuse = (cv2.blur(x, (4, 4)) for x in marched)
+    return through, sunlit, diffuse
+
+
+def _march_rows(
+    wrapped: Image, raised: Image, base: Image, per_km: Image, reach: Image
+) -> tuple[Image, Image, Image]:
+    """The same for an even number of rows, before it is smoothed."""
     through = np.ones_like(raised)
     sunlit, diffuse = np.zeros_like(raised), np.zeros_like(raised)
     dense = np.minimum(np.float32(22.0 * TOP_KM / STEPS) * reach, 20.0)
@@ -179,15 +202,14 @@ def _march(
     for k in range(STEPS):
         z = (first + np.float32(k)) * step
         at = (base + per_km * z[..., None]) * np.float32(1 / _TILE_KM)
-        top = _SLOPE * (_looked_up(lumps, at) + raised[..., None]) - z[..., None]
+        top = _SLOPE * (_sampled(wrapped, at) + raised[..., None]) - z[..., None]
         above = np.maximum(top[..., 1], 0)
         inside = np.clip(top[..., 0], 0, 0.35)
         taken = through * (1 - np.exp(-dense * inside))
         through -= taken
         sunlit += taken * np.exp(-_DENSITY * above)
         diffuse += taken / (1 + np.float32(0.4 * _DENSITY) * np.maximum(above, inside))
-    smooth = (cv2.blur(x, (4, 4)) for x in (through, sunlit, diffuse))
-    return next(smooth), next(smooth), next(smooth)
+    return through, sunlit, diffuse
 
 
 _FIRST = np.array([[0.0, 0.5], [0.75, 0.25]], dtype=np.float32)

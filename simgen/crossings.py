@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simgen.geometry import Array
 from simgen.recipe import SceneSpec
-from simgen.roads import Lane, at_station, stations
+from simgen.roads import Lane, at_station, points_at, stations
 from simgen.site import Site
 
 Kind = Literal["road", "rail", "foot"]
@@ -96,7 +96,7 @@ def _kind(spec: SceneSpec) -> Kind | None:
 
 def _spots(site: Site, rng: np.random.Generator) -> list[tuple[Lane, float]]:
     """Stations of lanes that lead ahead, in random order with near ones first by tendency."""
-    origin = at_station(site.network.rig_lane.centre, site.network.rig_station)[0]
+    origin = points_at(site.network.rig_lane.centre, site.network.rig_station)
     spots: list[tuple[float, Lane, float]] = []
     for lane in site.network.driving:
         s = np.arange(12.0, stations(lane.centre)[-1] - 12.0, 6.0)

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from simgen.color import srgb_from_linear
 from simgen.geometry import Array
 from simgen.markings import Paint, median_outlines
-from simgen.mesh import Part, part
+from simgen.mesh import Part, cross, part
 from simgen.noise import fractal
 from simgen.recipe import SceneSpec, SkySpec
-from simgen.roads import Lane, Network, Surface, at_station, stations, strip
+from simgen.roads import Lane, Network, Surface, at_station, points_at, stations, strip
 from simgen.scene import GroundRing
 from simgen.schema import LABELS
 from simgen.site import Site, rings
@@ -77,6 +77,8 @@ class Layers:
     """Outlines on the ground, world xy."""
 
     asphalt: list[Array]
+    asphalt_color: tuple[float, float, float]
+    """linear, of mean 1"""
     pavement: list[Array]
     median: list[Array]
     paint: list[Paint]
@@ -233,10 +235,8 @@ def split(surface: Surface, axis: Array, bound: float) -> tuple[Surface, Surface
 def _surface(vertices: Array, faces: list[NDArray[np.int64]]) -> Surface:
     """Only the vertices in use, without faces that have no area."""
     f = np.concatenate(faces)
-    area = np.linalg.norm(
-        np.cross(vertices[f[:, 1]] - vertices[f[:, 0]], vertices[f[:, 2]] - vertices[f[:, 0]]),
-        axis=1,
-    )
+    a, b, c = (vertices[corner] for corner in f.T)
+    area = np.linalg.norm(cross(b - a, c - a), axis=1)
     used, index = np.unique(f[area > 1e-9], return_inverse=True)
     return Surface(vertices[used], index.reshape(-1, 3))
 
@@ -262,6 +262,7 @@ def _layers(site: Site, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
     pavements = [lane for lane in network.lanes if lane.kind == "sidewalk"]
     return Layers(
         asphalt=rings(site.asphalt),
+        asphalt_color=_asphalt_color(wear, rng=spec.stream("stone")),
         pavement=rings(site.pavement),
         median=median_outlines(network),
         paint=list(paints),
@@ -274,6 +275,16 @@ def _layers(site: Site, spec: SceneSpec, paints: Sequence[Paint]) -> Layers:
     )  # fmt: skip
 
 
+def _asphalt_color(wear: float, *, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Bitumen is black; as it wears off, the colour of the stones shows, more or less brown.
+
+    Source: Herold and Roberts, Spectral characteristics of asphalt road aging and deterioration
+    (Applied Optics, 2005): reflectance rises with age, and towards red.
+    """
+    brown = (0.3 + 0.7 * wear) * rng.uniform(0.3, 1.0)
+    return 1 + 0.13 * brown, 1.0, 1 - 0.24 * brown
+
+
 def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> list[Array]:
     """Cracks as thin wandering bands; a joint between lanes is one of them."""
     length = stations(line)[-1]
@@ -284,7 +295,7 @@ def _seams(line: Array, width: float, wear: float, rng: np.random.Generator) -> 
         heading = float(at_station(line, s)[1]) + (0.0 if along else np.pi / 2)
         turn = np.cumsum(rng.normal(0, 0.25, num)) + heading
         walk = np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1) * step, axis=0)
-        start = at_station(line, s)[0][:2] + rng.uniform(-0.4, 0.4, 2) * width
+        start = points_at(line, s)[:2] + rng.uniform(-0.4, 0.4, 2) * width
         cracks.append(_thin(walk + start, float(rng.uniform(0.006, 0.022))))
     return cracks
 
@@ -310,7 +321,7 @@ def _patches(line: Array, width: float, wear: float, rng: np.random.Generator) -
     out = []
     for s in rng.uniform(4, max(5, length - 4), rng.poisson(length * 0.012 * (0.3 + wear))):
         long_m, wide_m = float(rng.uniform(0.8, 12.0)), float(rng.uniform(0.5, 0.9 * width))
-        sub = at_station(line, np.linspace(s, min(length, s + long_m), 6))[0]
+        sub = points_at(line, np.linspace(s, min(length, s + long_m), 6))
         middle = float(rng.uniform(-0.5, 0.5)) * (width - wide_m)
         out.append(strip(sub, middle + wide_m / 2, middle - wide_m / 2)[:, :2])
     return out
@@ -324,7 +335,7 @@ def _scattered(
     for lane in lanes:
         length = stations(lane.centre)[-1]
         num = rng.poisson(per_m * length)
-        points = at_station(lane.centre, rng.uniform(0, length, num))[0][:, :2]
+        points = points_at(lane.centre, rng.uniform(0, length, num))[:, :2]
         points += rng.uniform(-0.45, 0.45, (num, 2)) * lane.width
         discs.append(np.column_stack([points, rng.uniform(*radius, num)]))
     return np.concatenate(discs)
@@ -336,8 +347,7 @@ def _scattered(
 _GRASS = np.array([0.060, 0.092, 0.026], np.float32)
 _DRY = np.array([0.150, 0.135, 0.060], np.float32)
 _SOIL = np.array([0.120, 0.088, 0.058], np.float32)
-_GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.235, 0.225, 0.210), (0.300, 0.290, 0.270)
-_ASPHALT = (1.0, 0.985, 0.955)
+_GRAVEL, _SLAB, _KERB = (0.170, 0.155, 0.130), (0.245, 0.225, 0.190), (0.310, 0.290, 0.252)
 _AGGREGATE_M = 0.009
 """diameter of the stones in asphalt and concrete"""
 
@@ -495,7 +505,7 @@ class _Canvas:
         tone *= 1 - 0.32 * self.mask(layers.patches)
         spread = np.clip(0.55 + 0.9 * self.middle + 0.4 * self.grain, 0, 1)
         tone *= 1 - 0.42 * spread * self.blurred(self.mask(_discs(layers.stains)), 0.06)
-        return tone, _ASPHALT
+        return tone, layers.asphalt_color
 
     def slabs(self) -> Layer:
         tone = 1 + 0.1 * self.broad + 0.06 * self.middle + 0.08 * self.grain

@@ -181,11 +181,18 @@ def _inverse_depth_coeffs(faces: FaceTable, camera: Camera) -> Array:
     n·x = d with x = c + z M (u, v, 1) gives 1/z = n M (u, v, 1) / (d − n·c). A face whose
     plane holds the camera's centre is seen edge-on, which is no surface: its row is 0.
     """
-    normal, d = faces.plane[:, :3], faces.plane[:, 3]
-    offset = d - normal @ camera.centre
-    with np.errstate(divide="ignore", invalid="ignore"):
-        coeffs = (normal @ _rays_from_pixels(camera)) / offset[:, None]
-    return np.asfortranarray(np.where(offset[:, None] == 0, 0.0, coeffs))
+    coeffs = np.empty((len(faces.plane), 3), order="F")
+    M, (x, y, z) = _rays_from_pixels(camera), camera.centre
+
+    def project(rows: slice) -> None:
+        nx, ny, nz, d = faces.plane[rows].T
+        offset = d - (nx * x + ny * y + nz * z)
+        scale = np.divide(1.0, offset, out=np.zeros_like(offset), where=offset != 0)
+        for k in range(3):
+            coeffs[rows, k] = (nx * M[0, k] + ny * M[1, k] + nz * M[2, k]) * scale
+
+    _over_rows(project, len(coeffs), block=1 << 14)
+    return coeffs
 
 
 def _over_rows(work: Callable[[slice], None], num: int, block: int = _ROWS) -> None:

@@ -14,7 +14,17 @@ import shapely
 
 from simgen.geometry import Array
 from simgen.recipe import RoadSpec
-from simgen.roads import MEDIAN_M, Given, Lane, Network, at_station, offset_line, stations, strip
+from simgen.roads import (
+    MEDIAN_M,
+    Given,
+    Lane,
+    Network,
+    at_station,
+    offset_line,
+    points_at,
+    stations,
+    strip,
+)
 
 WHITE = (0.62, 0.62, 0.59)
 YELLOW = (0.55, 0.36, 0.06)
@@ -49,7 +59,7 @@ def paint(network: Network, road: RoadSpec, *, rng: np.random.Generator) -> list
 def piece(line: Array, start_m: float, end_m: float) -> Array:
     """The part of a polyline between two stations, about every metre."""
     num = max(2, int((end_m - start_m) / 1.0) + 1)
-    return at_station(line, np.linspace(start_m, end_m, num))[0]
+    return points_at(line, np.linspace(start_m, end_m, num))
 
 
 # --- what a given map states ---------------------------------------------------------------------

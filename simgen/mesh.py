@@ -7,7 +7,7 @@ Faces wind counter-clockwise seen from outside. Colours are linear RGB albedos.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import product
@@ -175,13 +175,13 @@ def _at_corners(p: Part, pick: NDArray[np.int64], faces: Faces, normals: Vertice
 def _face_normals(vertices: Vertices, faces: Faces) -> Vertices:
     """(F, 3), as long as twice the area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return _cross(b - a, c - a)
+    return cross(b - a, c - a)
 
 
-def _cross(a: Vertices, b: Vertices) -> Vertices:
-    """Cross products (N, 3); np.cross is several times slower."""
-    (ux, uy, uz), (vx, vy, vz) = a.T, b.T
-    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
+def cross(a: ArrayLike, b: ArrayLike) -> Vertices:
+    """Cross products (…, 3); np.cross is several times slower."""
+    (ux, uy, uz), (vx, vy, vz) = (np.moveaxis(np.asarray(x), -1, 0) for x in (a, b))
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=-1)
 
 
 def _unit(vectors: NDArray[np.floating]) -> Vertices:
@@ -206,6 +206,11 @@ def _meeting(point: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     mine = np.repeat(np.arange(len(point)), partners)
     step = np.arange(len(mine)) - np.repeat(np.cumsum(partners) - partners, partners)
     return mine, order[np.repeat(start[group], partners) + step]
+
+
+def blocks(num: int, size: int = 1 << 14) -> Iterator[slice]:
+    """Slices of 0..num, short enough that what is computed on one stays in the cache."""
+    return (slice(i, min(i + size, num)) for i in range(0, num, size))
 
 
 def box(size: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Vertices, Faces]:
@@ -233,8 +238,8 @@ def tube(
     r = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(p),))
     tangent = _unit(np.diff(p, axis=0)[[0, -1]] if len(p) == 2 else np.gradient(p, axis=0))
     helper = np.eye(3)[np.argmin(np.abs(tangent).max(axis=0))]  # least parallel to the path
-    u = _unit(_cross(tangent, np.broadcast_to(helper, tangent.shape)))
-    w = _cross(tangent, u)
+    u = _unit(cross(tangent, np.broadcast_to(helper, tangent.shape)))
+    w = cross(tangent, u)
     angle = np.arange(sides)[:, None] * (2 * np.pi / sides)
     ring = np.cos(angle) * u[:, None] + np.sin(angle) * w[:, None]
     vertices = (p[:, None] + r[:, None, None] * ring).reshape(-1, 3)

@@ -26,10 +26,14 @@ SENSORS = ("ideal", "camera")
 MIDDLE_GREY = 0.17
 MAX_BRIGHT = 2.5
 """the brightest 1 % of the lower half may not be exposed above this"""
+SKY_SHARE = 0.4
+"""weight of the upper half of the images in the metering"""
 DARKEST = 1e-6
 """Radiance [kcd/m²] that counts as black: a moonless night."""
 CONTRAST = 1.5
 """of the ideal sensor's tone curve"""
+SATURATION = 1.35
+"""of the ideal sensor's colours: cameras show more of it than there is"""
 
 NATIVE_WIDTH = 2560
 """Of the sensor [px]. Narrower images are those of the same sensor with its pixels binned: blur
@@ -81,7 +85,7 @@ class Exposure:
     """standard deviation of the blur by which colours are interpolated between pixels"""
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """factors on R, G, B"""
-    saturation: float = 1.0
+    saturation: float = SATURATION
     """distance of a colour from grey: 1 = as it was"""
     contrast: float = CONTRAST
     """slope of the tone curve in the dark, see :func:`simgen.tone.tone_curve`"""
@@ -94,12 +98,18 @@ class Exposure:
 def meter(radiances: Sequence[Image]) -> float:
     """The exposure of a rig: the geometric mean of the lower halves to middle grey.
 
-    The sky does not count: it may burn out in places, as it does in a dash camera, but it must not
-    turn the road black. What is bright in the lower half is kept, and the night is left dark.
+    A brighter upper half takes up to one stop off, so that a sky keeps its blue and its clouds;
+    more would turn the road black. What is bright in the lower half is kept, and the night is left
+    dark.
     """
-    light = np.maximum(luminance(_below(1 / 2, radiances)).astype(np.float64), DARKEST)
-    typical = np.exp(np.log(light).mean())
-    return float(min(MIDDLE_GREY / typical, MAX_BRIGHT / np.quantile(light, 0.99), MAX_EXPOSURE))
+    above, below = (
+        np.maximum(luminance(_rows(*part, radiances)).astype(np.float64), DARKEST)
+        for part in ((0.0, 0.5), (0.5, 1.0))
+    )
+    typical = np.log(below).mean()
+    typical += np.clip(SKY_SHARE * (np.log(above).mean() - typical), 0, np.log(2))
+    brightest = np.quantile(below, 0.99)
+    return float(min(MIDDLE_GREY / np.exp(typical), MAX_BRIGHT / brightest, MAX_EXPOSURE))
 
 
 def warmth(radiances: Sequence[Image]) -> float:
@@ -111,15 +121,17 @@ def warmth(radiances: Sequence[Image]) -> float:
 
     Source: Finlayson and Trezzi, Shades of gray and colour constancy (2004).
     """
-    exposed = _below(1 / 3, radiances).astype(np.float64) * meter(radiances)
+    exposed = _rows(1 / 3, 1, radiances).astype(np.float64) * meter(radiances)
     exposed = np.maximum(exposed / np.maximum(exposed.max(axis=1, keepdims=True), 1.0), 1e-4)
     red, _, blue = (exposed**6).mean(axis=0) ** (1 / 6)
     return float(np.log(red / blue))
 
 
-def _below(share: float, radiances: Sequence[Image]) -> Image:
-    """Every 16th pixel (N, 3) below that share of the images' height."""
-    return np.concatenate([r[int(share * len(r)) :: 4, ::4].reshape(-1, 3) for r in radiances])
+def _rows(start: float, stop: float, radiances: Sequence[Image]) -> Image:
+    """Every 16th pixel (N, 3) between those shares of the images' height."""
+    return np.concatenate(
+        [r[int(start * len(r)) : int(stop * len(r)) : 4, ::4].reshape(-1, 3) for r in radiances]
+    )
 
 
 def expose(sensor: str, radiances: Sequence[Image], *, rng: np.random.Generator) -> list[Exposure]:
@@ -150,7 +162,7 @@ def _draw_make(exposure: float, scale: float, *, rng: np.random.Generator) -> Ex
         electrons=float(full_well * time_s / needed_s / scale**2),
         read_noise=float(rng.uniform(1.5, 4.0) / scale),
         demosaic_px=DEMOSAIC_PX * scale,
-        saturation=float(rng.uniform(1.1, 1.3)),
+        saturation=float(SATURATION * rng.uniform(0.85, 1.1)),
         contrast=float(CONTRAST * rng.uniform(0.93, 1.07)),
         sharpening=float(rng.uniform(0.2, 0.6)),
         sharpening_px=float(rng.uniform(0.8, 1.2) * scale),

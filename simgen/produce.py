@@ -34,8 +34,10 @@ from simgen.rig import PosedRig, pose
 from simgen.run import FrameRejected, FrameResult, FrameTask
 from simgen.store import write_frame
 
-M_ARENA_MAX = -8
+M_ARENA_MAX, M_MMAP_THRESHOLD = -8, -3
 """of glibc's malloc.h"""
+LARGE_BLOCK = 1 << 20
+"""bytes from which on memory goes back to the system as soon as it is freed"""
 NIGHT_LAMPS = 16
 """Light slots of a night scene."""
 
@@ -292,15 +294,22 @@ def versions() -> dict[str, str]:
 
 def start(engine: Engine, threads: int) -> None:
     """Loads Mitsuba in a worker process."""
-    _share_one_arena()
+    _keep_memory_flat()
     activate(engine, threads)
     cv2.setNumThreads(threads)
 
 
-def _share_one_arena() -> None:
-    """Lets all threads allocate in one place: what is free in arenas of their own stays there."""
+def _keep_memory_flat() -> None:
+    """Lets all threads allocate in one place, and large blocks stay out of it.
+
+    What is freed in arenas of a thread's own stays there. In the common one, arrays of some
+    megabytes leave holes between what lives longer: a worker kept between 360 and 410 MiB after
+    small frames, and 334 to 338 so.
+    """
     if platform.libc_ver()[0] == "glibc":
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
+        libc = ctypes.CDLL(None)
+        libc.mallopt(M_ARENA_MAX, 1)
+        libc.mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
 
 
 def render_frame_file(task: FrameTask) -> FrameResult:

@@ -18,10 +18,10 @@ from typing import Any
 import cv2
 import mitsuba as mi
 import numpy as np
-import pyoidn
 from numpy.typing import NDArray
 
 from simgen.atmosphere import transmittance
+from simgen.denoiser import denoised
 from simgen.rig import Camera
 from simgen.scene import Scene
 from simgen.skymap import seen_through
@@ -79,7 +79,7 @@ def render(
     features = _trace_features(scene, camera, seed + 1)
     measured = time.perf_counter()
     if denoise:
-        irradiance = _denoised(surfaces / noisy_albedo, features)
+        irradiance = denoised(surfaces / noisy_albedo, features.normal)
         surfaces = irradiance * _lifted(features.albedo, features.coverage)
     radiance = surfaces + features.sky
     if not np.isfinite(radiance).all():
@@ -201,16 +201,3 @@ def _rendered(scene: Scene, integrator: dict[str, Any], sensor: Any, spp: int, s
     image = mi.render(scene.mi_scene, integrator=mi.load_dict(integrator), sensor=sensor, spp=spp,
                       seed=seed & 0xFFFFFFFF)  # fmt: skip
     return np.array(image, dtype=np.float32)
-
-
-def _denoised(irradiance: Image, features: Features) -> Image:
-    """Guided by normals alone: with the albedo as a guide the denoiser drew its texture into the
-    irradiance, which then counted twice (1.7 times the true power in the finest octave)."""
-    return pyoidn.denoise(
-        np.ascontiguousarray(irradiance),
-        albedo=np.ones_like(irradiance),
-        normal=np.ascontiguousarray(features.normal),
-        hdr=True,
-        clean_aux=True,
-        quality="fast",
-    )

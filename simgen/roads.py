@@ -138,22 +138,27 @@ def _panics_raised() -> Iterator[None]:
 
 def stations(line: Array) -> Array:
     """Horizontal arc length (N,) at the points of a polyline (N, 3)."""
-    steps = np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    dx, dy = (line[1:, :2] - line[:-1, :2]).T
+    return np.concatenate([[0.0], np.cumsum(np.sqrt(dx * dx + dy * dy))])
 
 
 def at_station(line: Array, s: Array | float) -> tuple[Array, Array]:
     """Points (…, 3) and headings (…,) [rad] at stations ``s`` along a polyline (N, 3)."""
+    headings = np.interp(s, stations(line), np.unwrap(line_headings(line)))
+    return points_at(line, s), np.asarray(headings)
+
+
+def points_at(line: Array, s: Array | float) -> Array:
+    """Points (…, 3) at stations ``s`` along a polyline (N, 3)."""
     t = stations(line)
-    points = np.stack([np.interp(s, t, line[:, k]) for k in range(3)], axis=-1)
-    headings = np.unwrap(line_headings(line))
-    return points, np.asarray(np.interp(s, t, headings))
+    return np.stack([np.interp(s, t, x) for x in line.T], axis=-1)
 
 
 def line_headings(line: Array) -> Array:
     """Heading (N,) [rad] of the tangent at the points of a polyline (N, 3)."""
-    tangent = np.gradient(line[:, :2], axis=0)
-    return np.arctan2(tangent[:, 1], tangent[:, 0])
+    xy = np.concatenate([line[:1, :2], line[:, :2], line[-1:, :2]])
+    x, y = (xy[2:] - xy[:-2]).T
+    return np.arctan2(y, x)
 
 
 def offset_line(line: Array, metres: Array | float) -> Array:
@@ -171,7 +176,7 @@ def strip(line: Array, left_m: float, right_m: float) -> Array:
 def resampled(line: Array, step: float) -> Array:
     """The polyline with points about every ``step`` metres."""
     length = stations(line)[-1]
-    return at_station(line, np.linspace(0.0, length, max(2, round(length / step) + 1)))[0]
+    return points_at(line, np.linspace(0.0, length, max(2, round(length / step) + 1)))
 
 
 # --- planning with roadgen -----------------------------------------------------------------------
@@ -429,7 +434,7 @@ REACH_M = 650.0
 def _read_given(data: bytes, spec: SceneSpec) -> Network:
     """The part of an OpenDRIVE map around a place drawn for the rig."""
     start, station = _choose_start(given_map.starts(data), spec, rng=spec.stream("rig lane"))
-    origin = at_station(start.centre, station)[0] * [1.0, 1.0, 0.0]
+    origin = points_at(start.centre, station) * [1.0, 1.0, 0.0]
     near = {x.road for x in given_map.all_strips(data) if _reaches(x.centre, origin)}
     roads = [alignment.moved(r, origin) for r in opendrive.read(data) if r.id in near]
     road_map = _parsed(given_map.canonical(data, near, origin, spec.road.kind))

@@ -14,7 +14,7 @@ from simgen import alignment, barriers, furniture, pavement, terraces, vegetatio
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model
-from simgen.roads import Lane, at_station, offset_line, resampled, stations
+from simgen.roads import Lane, at_station, offset_line, points_at, resampled, stations
 
 
 def _kerbside(lane: Lane) -> float:
@@ -309,7 +309,7 @@ def _stretches(
     s = float(rng.uniform(0, 5))
     while s < length - 4.0:
         span = float(rng.uniform(6.0, 16.0))
-        xy = at_station(shifted, np.linspace(s, min(length, s + span), 9))[0][:, :2]
+        xy = points_at(shifted, np.linspace(s, min(length, s + span), 9))[:, :2]
         s += span + (float(rng.uniform(3.0, 5.0)) if rng.random() < 0.3 else 0.0)
         far = np.linalg.norm(xy.mean(axis=0) - layout.rig_xy) > FRONTAGE_AHEAD_M
         if far or not layout.in_view(xy.mean(axis=0)):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simgen.materials import FAR_SHEET_FACTOR, FAR_SHEET_M, MATERIALS, Material
-from simgen.mesh import Part, flat
+from simgen.mesh import Part, blocks, flat
 from simgen.sheets import Sheet, filtered
 from simgen.wetness import SPECULAR
 
@@ -264,22 +264,21 @@ def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
     has_uv = slot.material.color_by != "vertex"
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(slot.bsdf)
+    # It begins as one triangle and grows with its arrays: add_attribute copies number by number.
     mesh = mi.Mesh(
-        slot.name, len(vertices), len(faces), has_vertex_normals=curved,
-        has_vertex_texcoords=has_uv, props=properties,
+        slot.name, 3, 1, has_vertex_normals=curved, has_vertex_texcoords=has_uv, props=properties,
     )  # fmt: skip
+    if not has_uv:
+        mesh.add_attribute("vertex_color", 3, [0.0] * 9)
     params = mi.traverse(mesh)
     params["vertex_positions"] = vertices.ravel()
     params["faces"] = faces.ravel()
-    if has_uv:
-        params["vertex_texcoords"] = _attribute(parts, "uv", 2).ravel()
+    name, size = ("uv", 2) if has_uv else ("color", 3)
+    params["vertex_texcoords" if has_uv else "vertex_color"] = _attribute(parts, name, size).ravel()
     params.update()
     if curved:  # only now, since new positions bring normals of Mitsuba's own
         params["vertex_normals"] = _attribute(parts, "normals", 3).ravel()
         params.update()
-    if not has_uv:
-        colors: Any = _attribute(parts, "color", 3).ravel()
-        mesh.add_attribute("vertex_color", 3, colors)
     return mesh, vertices, faces
 
 
@@ -300,10 +299,13 @@ def _led_by_short_edges(
     Mitsuba solves for barycentric coordinates in the two edges at the first corner, in float32: of
     a kerb's edge of 100 m by 1 cm, the two long ones gave NaN as the colour.
     """
-    corners = vertices[faces]
-    opposite = np.stack([corners[:, k - 1] - corners[:, k - 2] for k in range(3)], axis=1)
-    first = np.argmax(np.einsum("fkc,fkc->fk", opposite, opposite), axis=1)
-    return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    led = np.empty_like(faces)
+    for rows in blocks(len(faces)):
+        a, b, c = (np.take(vertices, corner, axis=0) for corner in faces[rows].T)
+        opposite = [np.einsum("fk,fk->f", e, e) for e in (c - b, a - c, b - a)]
+        first = np.argmax(opposite, axis=0)
+        led[rows] = np.take_along_axis(faces[rows], (first[:, None] + [0, 1, 2]) % 3, axis=1)
+    return led
 
 
 def _attribute(parts: Sequence[Part], name: str, size: int) -> NDArray[np.float32]:
@@ -365,9 +367,14 @@ _EMPTY = Part(_NOWHERE, np.array([[0, 1, 2]]), "", 0)
 
 def _planes(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray[np.float64]:
     """(F, 4) planes through the float32 vertices that the renderer holds, in float64."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    return np.concatenate([normal, np.sum(normal * a, axis=1, keepdims=True)], axis=1)
+    planes = np.empty((len(faces), 4))
+    for rows in blocks(len(faces)):
+        a, b, c = (np.take(vertices, corner, axis=0).T for corner in faces[rows].T)
+        (ux, uy, uz), (vx, vy, vz) = b - a, c - a
+        normal = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        offset = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
+        planes[rows] = np.stack([*normal, offset], axis=1)
+    return planes
 
 
 # --- lights -----------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simgen.color import linear_from_srgb, srgb_from_linear
+from simgen.mesh import blocks
 
 Field = NDArray[np.float32]  # (N, N), one value per pixel
 Layer = tuple[Field, ArrayLike]  # (N, N) coverage in 0..1, and the sRGB 0..255 that covers
@@ -148,8 +149,7 @@ class _Canvas:
         image = np.empty((self.size, self.size, 3), np.uint8)
         fields = [np.broadcast_to(np.asarray(b, np.float32), shade.shape) for b in base]
         colors = [np.asarray(color, np.float32) for _, color in layers]
-        for start in range(0, self.size, 64):  # strips stay in the cache: three times as fast
-            rows = slice(start, start + 64)
+        for rows in blocks(self.size, 16):  # strips stay in the cache
             for c in range(3):
                 x = shade[rows] * fields[c][rows]
                 for (mask, _), color in zip(layers, colors, strict=True):

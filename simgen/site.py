@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from simgen.geometry import Array
+from simgen.mesh import cross
 from simgen.roads import Network, Surface
 
 _CELL_M = 8.0
@@ -116,7 +117,7 @@ class _Heights:
 def _plane_height(triangles: Array, xy: Array) -> Array:
     """z (N,) at (N, 2) of the planes of triangles (N, 3, 3); the top of upright ones."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    n = np.cross(b - a, c - a)
+    n = cross(b - a, c - a)
     upright = np.abs(n[:, 2]) < 1e-6 * np.linalg.norm(n, axis=1)
     safe = np.where(upright, 1.0, n[:, 2])
     sloped = a[:, 2] - ((xy - a[:, :2]) * n[:, :2]).sum(axis=1) / safe

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simgen.mesh import Part, part, quads_to_triangles, tube
+from simgen.mesh import Part, cross, part, quads_to_triangles, tube
 from simgen.schema import LABELS
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def pipe(points: Array, radius: float, color: ArrayLike) -> Part:
 
 def sheeted(frame: Frame, quads: Array, material: str, uv_offset: ArrayLike) -> Part:
     """A part of building with metres on the surface as uv: local (x, y) on sides that face z."""
-    normal = np.abs(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]))
+    normal = np.abs(cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]))
     axes = np.array([[2, 1], [0, 2], [0, 1]])[np.argmax(normal, axis=1)]  # (Q, 2)
     uv = np.take_along_axis(quads, axes[:, None, :], axis=2) + np.asarray(uv_offset)
     return part(*_mesh(frame, quads), material, LABELS["building"], uv=uv)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 STATIC, POLE = LABELS["static"], LABELS["pole"]
 UP = np.array([0.0, 0.0, 1.0])
 
-STEEL, CONCRETE, BLACK = (0.42, 0.43, 0.44), (0.34, 0.33, 0.31), (0.025, 0.025, 0.027)
+STEEL, CONCRETE, BLACK = (0.42, 0.43, 0.44), (0.35, 0.33, 0.29), (0.025, 0.025, 0.027)
 WHITE, RED = (0.7, 0.7, 0.68), (0.42, 0.03, 0.03)
 DARK_GREEN, WOOD = (0.03, 0.07, 0.045), (0.2, 0.12, 0.06)
 

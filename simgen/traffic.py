@@ -14,7 +14,7 @@ from simgen import vehicles
 from simgen.geometry import Array
 from simgen.layout import Layout, Mover, Placed
 from simgen.markings import BAY_M
-from simgen.roads import Lane, at_station, stations
+from simgen.roads import Lane, at_station, points_at, stations
 from simgen.vehicles import Vehicle
 
 NUM_DESIGNS = 10
@@ -95,7 +95,7 @@ def _speed(kind: str, gap: float, rng: np.random.Generator) -> float:
 
 def road_normal(line: Array, s: float, along: Array) -> Array:
     """The upward normal (3,) of a road that runs ``along`` (2,) at a station of its line."""
-    ends = at_station(line, np.array([s - 1.5, s + 1.5]))[0]
+    ends = points_at(line, np.array([s - 1.5, s + 1.5]))
     slope = (ends[1, 2] - ends[0, 2]) / 3.0
     return np.array([-slope * along[0], -slope * along[1], 1.0])
 

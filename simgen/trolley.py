@@ -8,7 +8,7 @@ from simgen.furniture import wires
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, edges, sunk
 from simgen.mesh import Model, Part, part
-from simgen.roads import Lane, at_station, offset_line, resampled, stations
+from simgen.roads import Lane, offset_line, points_at, resampled, stations
 from simgen.street_solids import BLACK, POLE, STEEL, UP, assembled, bars, rod
 
 CONTACT_M = 5.7
@@ -53,7 +53,7 @@ def _pole_pairs(layout: Layout, a: Array, b: Array) -> list[tuple[Array, Array]]
     pairs = []
     length = stations(a)[-1]
     for share in np.arange(4.0, length - 3.0, SPACING_M) / length:
-        feet = [at_station(line, share * stations(line)[-1])[0] for line in (a, b)]
+        feet = [points_at(line, share * stations(line)[-1]) for line in (a, b)]
         discs = [(*foot[:2], 0.3) for foot in feet]
         if all(layout.in_view(f) for f in feet) and layout.site.claim(discs):
             pairs.append((feet[0], feet[1]))

@@ -30,6 +30,7 @@ Bools = NDArray[np.bool_]
 
 FLOAT32_PX = 4096.0  # beyond this, float32 cannot hold flow to 1e-3 px: errors count relative
 SAME_SURFACE = 0.02  # inverse depths closer than this fraction belong to one surface
+RESOLVED = 3  # neighbours, of 8, on a pixel's own surface: fewer, and it is thinner than a pixel
 NEARER = 1.001  # ratio of inverse depths from which something lies in front
 AFFINE = 1e-3  # second difference, over inverse depth, up to which a patch is one plane
 SAMPLE_PIXELS = 60_000  # per direction, when a check is not thorough
@@ -211,9 +212,14 @@ def _is_plane(w: Array) -> Bools:
 def _compare_patches(
     d: Direction, i: Indices, j: Indices, end: Array, w_end: Array, status: NDArray[np.uint8]
 ) -> dict[str, Array]:
-    """Source pixels (i, j) that end inside the target, against the patches where they end."""
+    """Source pixels (i, j) that end inside the target, against the patches where they end.
+
+    A blade of grass that one camera's rays hit is missed by the other's: only surfaces that the
+    source resolves are looked for.
+    """
     near = _neighbours(end, d.status.shape)
     patch = _patch(d.target.depth, end, near)
+    resolved = _is_resolved(d.source.depth, i, j)
     visible, occluded = (status & schema.VISIBLE) != 0, (status & schema.OCCLUDED) != 0
     same = patch.is_plane & _is_close(patch.w_end, w_end)
     found = _is_close(patch.w, w_end).any(axis=(0, 1)) | patch.reaches(w_end)
@@ -225,11 +231,17 @@ def _compare_patches(
     back, _ = reproject(d.target, d.source, end[cyclic], patch.w_end[cyclic])
     return {
         "cycle": np.hypot(back[:, 0] - j[cyclic], back[:, 1] - i[cyclic]),
-        "visible_depth": ~found[visible],
-        "occluded_depth": ~in_front[occluded],
-        "instance": ~keeps_instance[visible & (instance != 0)],
-        "semantic": ~keeps_label[visible],
+        "visible_depth": ~found[visible & resolved],
+        "occluded_depth": occluded & ~in_front,
+        "instance": ~keeps_instance[visible & resolved & (instance != 0)],
+        "semantic": ~keeps_label[visible & resolved],
     }
+
+
+def _is_resolved(depth: NDArray[np.float32], i: Indices, j: Indices) -> Bools:
+    """Whether pixels (i, j) belong to a surface that covers some pixels around them."""
+    w = _inverse(depth.ravel()[_neighbours(np.stack([j, i], axis=-1), depth.shape)])
+    return np.asarray(_is_close(w, w[1, 1]).sum(axis=(0, 1)) > RESOLVED)
 
 
 def _is_close(w: Array, w_expected: Array) -> Bools:

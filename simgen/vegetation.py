@@ -16,7 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simgen.mesh import Faces, Model, Part, Vertices, box, merged, part, quads_to_triangles
+from simgen.mesh import (
+    Faces,
+    Model,
+    Part,
+    Vertices,
+    box,
+    cross,
+    merged,
+    part,
+    quads_to_triangles,
+)
 from simgen.schema import LABELS
 
 Array = NDArray[np.float64]
@@ -255,8 +265,8 @@ def _clumps_on(
     center = start + along * (end - start) + spread
     size = np.array(kind.clump) * radius * rng.uniform(0.75, 1.3, (len(start), 1))
     forward = _unit(end - start)
-    side = _unit(np.cross(UP + 1e-3, forward))
-    axes = np.stack([forward, side, np.cross(forward, side)], axis=1) * size[:, :, None]
+    side = _unit(cross(UP + 1e-3, forward))
+    axes = np.stack([forward, side, cross(forward, side)], axis=1) * size[:, :, None]
     twigs = np.stack([start + (along - 0.25) * (end - start), center], axis=1)
     return Clumps(center, axes), twigs
 
@@ -305,8 +315,8 @@ def _tubes(paths: Array, radius: Array, sides: int) -> tuple[Vertices, Faces, Ar
     num, points = paths.shape[:2]
     tangent = _unit(np.gradient(paths, axis=1))
     helper = np.eye(3)[np.argmin(np.abs(tangent).max(axis=1), axis=1)][:, None]
-    u = _unit(np.cross(tangent, helper))
-    w = np.cross(tangent, u)
+    u = _unit(cross(tangent, helper))
+    w = cross(tangent, u)
     angle = np.linspace(0, 2 * np.pi, sides + 1)[:, None]  # the seam twice, for uv
     ring = np.cos(angle) * u[:, :, None] + np.sin(angle) * w[:, :, None]
     vertices = paths[:, :, None] + radius[:, :, None, None] * ring
@@ -357,8 +367,8 @@ def _leaf_part(
     n = len(position)
     normal = _unit(outward + 0.4 * UP + 0.5 * rng.normal(size=(n, 3)))
     wish = rng.normal(size=(n, 3)) + 0.6 * outward - droop * UP
-    side = _unit(np.cross(normal, wish)) * (0.5 * LEAF_WIDTH * length[:, None])
-    along = _unit(np.cross(side, normal)) * length[:, None]
+    side = _unit(cross(normal, wish)) * (0.5 * LEAF_WIDTH * length[:, None])
+    along = _unit(cross(side, normal)) * length[:, None]
     base = position - along / 3
     vertices = np.stack([base - side, base + side, base + along], axis=1)
     corner = np.array([0.88, 0.88, 1.18])[:, None]  # the tip has the light
@@ -396,4 +406,5 @@ def _horizontal(azimuth: Array) -> Array:
 
 
 def _unit(vector: Array) -> Array:
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+    x, y, z = np.moveaxis(vector, -1, 0)
+    return vector / np.sqrt(x * x + y * y + z * z)[..., None]

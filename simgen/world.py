@@ -31,7 +31,7 @@ from simgen.geometry import Array, rotation_from_vector, transform
 from simgen.layout import Layout, Mover, Placed
 from simgen.mesh import Part
 from simgen.recipe import SceneSpec
-from simgen.roads import Network, at_station, stations
+from simgen.roads import Network, at_station, points_at, stations
 from simgen.scene import World
 from simgen.schema import LABELS
 from simgen.signs import sign_atlas
@@ -57,7 +57,7 @@ def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"") -> Drive:
     lane = network.rig_lane
     s = min(network.rig_station + FRAME_STEP_M * step, stations(lane.centre)[-1] - 4.0)
     point, heading = at_station(lane.centre, s)
-    ends = at_station(lane.centre, np.array([s - 1.5, s + 1.5]))[0]
+    ends = points_at(lane.centre, np.array([s - 1.5, s + 1.5]))
     pitch = -np.arctan2(ends[1, 2] - ends[0, 2], 3.0)
     side = np.array([-np.sin(heading), np.cos(heading), 0.0])
     yaw = float(heading) + float(rng.normal(0, 0.01))

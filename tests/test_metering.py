@@ -14,6 +14,7 @@ from simgen.metering import (
     MAX_GAIN,
     MAX_TIME_S,
     MIDDLE_GREY,
+    SKY_SHARE,
     Exposure,
     expose,
     meter,
@@ -43,10 +44,18 @@ def test_the_night_is_left_darker_than_the_day_but_never_black():
     assert meter([road(0.0)]) == MAX_EXPOSURE
 
 
-def test_an_open_sky_does_not_darken_the_road():
+@pytest.mark.parametrize("sky", [0.15, 0.5, 5.0, 500.0])
+def test_an_open_sky_darkens_the_road_but_by_one_stop_at_most(sky):
     under_sky = road(0.1)
-    under_sky[:30] = 5.0
-    assert meter([under_sky]) == pytest.approx(meter([road(0.1)]))
+    under_sky[:30] = sky
+    stops = np.log2(meter([road(0.1)]) / meter([under_sky]))
+    assert stops == pytest.approx(min(1.0, SKY_SHARE * np.log2(sky / 0.1)), abs=0.02)
+
+
+def test_a_dark_wall_above_the_road_does_not_brighten_it():
+    below_wall = road(0.1)
+    below_wall[:30] = 0.01
+    assert meter([below_wall]) == pytest.approx(meter([road(0.1)]))
 
 
 def test_bright_walls_are_not_burnt_out():

@@ -110,7 +110,7 @@ def test_a_dot_stays_where_it_is_in_the_picture():
 
 
 def test_noise_has_the_variance_of_its_electrons():
-    noisy_one = replace(IDEAL, electrons=8000.0, read_noise=30.0)
+    noisy_one = replace(IDEAL, electrons=8000.0, read_noise=30.0, saturation=1.0)
     noisy = linear_brightness(develop(grey(0.5, (300, 300)), noisy_one, rng=rng()))
     assert noisy.mean() == pytest.approx(0.5, abs=2e-3)
     assert noisy.std() == pytest.approx(np.sqrt(0.5 * 8000 + 30**2) / 8000, rel=0.05)
