@@ -265,11 +265,15 @@ def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(slot.bsdf)
     # It begins as one triangle and grows with its arrays: add_attribute copies number by number.
+    # Arrays of scalar variants cannot grow.
+    scalar = str(mi.variant()).startswith("scalar")
+    num_vertices, num_faces = (len(vertices), len(faces)) if scalar else (3, 1)
     mesh = mi.Mesh(
-        slot.name, 3, 1, has_vertex_normals=curved, has_vertex_texcoords=has_uv, props=properties,
+        slot.name, num_vertices, num_faces, has_vertex_normals=curved,
+        has_vertex_texcoords=has_uv, props=properties,
     )  # fmt: skip
     if not has_uv:
-        mesh.add_attribute("vertex_color", 3, [0.0] * 9)
+        mesh.add_attribute("vertex_color", 3, np.zeros(3 * num_vertices, np.float32))
     params = mi.traverse(mesh)
     params["vertex_positions"] = vertices.ravel()
     params["faces"] = faces.ravel()

@@ -67,19 +67,19 @@ def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"") -> Drive:
 
 def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     """Everything that can be seen."""
-    site = Site(drive.network)
-    crossing = crossings.plan(site, spec)
-    atlas = sign_atlas(rng=spec.stream("signs"))
-    paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
     half = surroundings.FAR_INNER_M
-    # OpenCV and NumPy let other threads run: maps are painted while objects are put in place.
+    # OpenCV and NumPy let other threads run: images are painted while objects are put in place.
     with ThreadPoolExecutor(max_workers=2) as pool:
+        surfaces = pool.submit(_sheets, spec)
+        sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
+        site = Site(drive.network)
+        crossing = crossings.plan(site, spec)
+        paints = markings.paint(drive.network, spec.road, rng=spec.stream("paint"))
         maps = pool.submit(
             ground.build, site, spec, paints, drive.T_world_vehicle, optics,
             far_low=surroundings.FAR_CENTRE - half, far_high=surroundings.FAR_CENTRE + half,
         )  # fmt: skip
-        sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
-        surfaces = pool.submit(_sheets, spec)
+        atlas = sign_atlas(rng=spec.stream("signs"))
         zoom = 1 / np.tan(optics.hfov_rad / 2)
         rig_xy = drive.T_world_vehicle[:2, 3]
         layout = Layout(site, spec, rig_xy, atlas.rects, float(zoom), crossing)
