@@ -28,8 +28,9 @@ from torch.utils.flop_counter import (
 
 from flowrect.config import TRAINING, TrainOptions
 from flowrect.correspondences import Correspondences
+from flowrect.metrics import METRIC_WH
 from flowrect.model import Rectifier
-from flowrect.sample import METRIC_WH, Batch
+from flowrect.sample import Batch
 from flowrect.train import loss_terms, predict
 from simgen.geometry import intrinsics
 
