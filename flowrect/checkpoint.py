@@ -1,0 +1,63 @@
+"""What a run needs to go on as if it had not stopped, in one file, written atomically.
+
+The file is PyTorch's own format, read with ``weights_only=True``: tensors and plain values only, so
+reading one runs no code. The learning rate is a function of the step and needs no state.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from simgen.errors import UserError
+
+BUDGET = frozenset({"out", "data", "minutes", "val_every", "val_pairs", "init", "preset"})
+"""options that may differ when a run goes on: they change when it ends, not what is computed"""
+
+
+def random_state() -> dict[str, Any]:
+    """State of torch's generators."""
+    cuda = torch.cuda.get_rng_state_all() if torch.cuda.is_available() else []
+    return {"cpu": torch.get_rng_state(), "cuda": cuda}
+
+
+def restore_random_state(state: dict[str, Any]) -> None:
+    """Sets what ``random_state`` returned."""
+    torch.set_rng_state(state["cpu"])
+    if state["cuda"] and torch.cuda.is_available():
+        torch.cuda.set_rng_state_all(state["cuda"])
+
+
+def save(path: Path, state: dict[str, Any]) -> None:
+    """Writes a checkpoint; a crash leaves the former one."""
+    partial = path.with_name(path.name + ".partial")
+    torch.save(state, partial)
+    os.replace(partial, path)
+
+
+def load(path: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Reads a checkpoint of a run with these options.
+
+    Raises:
+      UserError: damaged, foreign, or of a run with other options.
+    """
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        saved = state["options"]
+    except (RuntimeError, pickle.UnpicklingError, EOFError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path} is no checkpoint of flowrect.train ({error}). Remove it to start anew; "
+            "--init takes weights (.safetensors), not checkpoints."
+        ) from error
+    names = [n for n in saved if n not in BUDGET and saved[n] != options.get(n)]
+    if names:
+        changes = "; ".join(f"{n} was {saved[n]!r}, now {options.get(n)!r}" for n in names)
+        raise UserError(
+            f"{path} belongs to a run with other options: {changes}. Give the former ones to "
+            "resume, or another --out to start anew (--init takes over its weights)."
+        )
+    return state

@@ -1,0 +1,171 @@
+"""What a network is made of and how it is trained: frozen dataclasses, presets by name.
+
+Where the paper is silent or contradicts itself the choice is a field, and the text under the field
+says why the default is what it is. The defaults of :class:`ModelConfig` are the preset ``paper``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from flowrect.augment import Augmentation
+from flowrect.loading import Loading
+
+PresetName = Literal["paper", "small"]
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The network. The defaults are the paper as printed (sections 3.1 to 3.5)."""
+
+    input_wh: tuple[int, int] = (1024, 512)
+    """width and height that images are fitted to; the network itself takes any size"""
+    channels: int = 128
+    """c of the feature maps: 64 (the paper's d) for each axis of the positional encoding"""
+    strides: tuple[int, int, int, int] = (2, 1, 2, 2)
+    """of the first convolution and the 3 residual blocks. The paper does not say; 1/8 in all, as
+    in GMFlow [58], makes the full attention over 1024x512 affordable"""
+    blocks: int = 6
+    """self-attention blocks, and as many cross-attention blocks"""
+    heads: int = 1
+    """attention heads. The paper does not say; one, as in GMFlow [58]"""
+    pool_keys: int = 1
+    """keys and values of attention are means over squares of this many feature pixels; 1: every
+    feature pixel, as in the paper. 2 quarters the cost of attention"""
+    expansion: int = 4
+    """hidden width of the feed-forward network over channels, as in [54]"""
+    encode: Literal["before", "after"] = "before"
+    """positional encoding before DRectify (Eq. 5) or after it (the text above Eq. 5)"""
+    decoder: Literal["conv3d", "displacement"] = "conv3d"
+    """conv3d: six 3D convolutions (section 3.5). displacement, beyond the paper: the expected
+    position of each match, its spread and its probability, and from them a rotation in closed form
+    that the linear layer corrects"""
+    decoder_channels: tuple[int, ...] = (32, 32, 32, 16, 16)
+    """conv3d: channels between the six convolutions; not in the paper"""
+    decoder_rows: int = 64
+    """conv3d: rows of the left image that make the input channels; other heights are pooled to it.
+    The paper does not say how four dimensions become three; rows are the release's choice"""
+    window: int = 2
+    """displacement: the expectation is taken this many feature pixels around the best match, so
+    that a second mode elsewhere does not pull it away"""
+    prior_sigma_deg: float = 2.0
+    """displacement: standard deviation of the prior's error, per axis; keeps the closed form finite
+    where matches say nothing"""
+    head_hw: tuple[int, int] = (64, 128)
+    """rows and columns that are flattened for the linear layer; other sizes are pooled to it, so
+    that any input size works. At 1024x512 it is H x W of the paper"""
+    frame: Literal["camera", "rectified"] = "camera"
+    """frame of r_correction. camera: added to the columns of R_init (Eq. 12). rectified: added to
+    those of the identity in the frame that R_init rectifies to, the one that the network sees, so
+    that what it learns does not depend on the prior. Equal for a prior without rotation"""
+    correction_limit: float = 1.0
+    """r_correction = limit * Tanh(...); 1 as in Eq. 8"""
+    zero_head: bool = True
+    """start the linear layer at zero, so that training starts from the prior. The paper does not
+    say; PyTorch's default start is several degrees off"""
+    max_tokens: int = 16384
+    """feature pixels h * w at most: a correlation volume of (h * w)^2 float32, 1 GiB for 16384"""
+
+
+PAPER = ModelConfig()
+SMALL = replace(
+    PAPER,
+    input_wh=(256, 128),
+    channels=64,
+    strides=(2, 1, 2, 1),  # 64x32 feature pixels: matches to a fraction of 4 px
+    blocks=3,
+    pool_keys=2,
+    expansion=2,
+    encode="after",  # what is matched lies in the rectified frame
+    decoder="displacement",
+    head_hw=(4, 8),
+    frame="rectified",
+    correction_limit=0.1,  # 6 degrees; one step of Adam moves the output by a tenth as much
+)
+MODELS: dict[str, ModelConfig] = {"paper": PAPER, "small": SMALL}
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """What is minimised (Eq. 15), and one term beyond the paper."""
+
+    rotation: float = 10.0
+    """of the entry-wise sum |R_gt - R_pred| (Eq. 17; the sum, since only it balances the flow)"""
+    flow: float = 0.1
+    """of the mean |vertical flow| at 512x256 (Eq. 16) [1/px]"""
+    matching: float = 0.0
+    """beyond the paper: of the cross-entropy of M_match against exact flow [1/nat]"""
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Trains the network on a set of pairs.
+
+    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    """
+
+    data: Path
+    """a set of simgen (its train frames), or another layout that flowrect.sources knows"""
+    out: Path = Path("runs/flowrect")
+    """folder of the run: checkpoint, best and last weights, metrics.jsonl, TensorBoard"""
+    preset: PresetName = "paper"
+    """paper on a GPU, small on a CPU if not given"""
+    init: str = ""
+    """weights to start from: a name or a file; random if not given"""
+    model: ModelConfig = PAPER
+    loading: Loading = field(default_factory=lambda: Loading(batch=16))
+    """batch: pairs per backward pass, over all processes"""
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    fit: Literal["crop", "stretch"] = "crop"
+    """crop to the aspect of the input, or squeeze the image as the paper's release does"""
+    keep: float = 0.0
+    """share of the window's sides that is kept; 0: the largest that no drawn turn of a camera
+    leaves partly empty, see flowrect.turn"""
+    loss: LossWeights = field(default_factory=LossWeights)
+    teacher: Literal["exact", "none"] = "exact"
+    """where vertical flow comes from: depth and poses, or nowhere (the paper's "w/o OF")"""
+    translation: Literal["gt", "nominal"] = "gt"
+    """t of the prior and of DRectify. gt as in the paper, though it leaks the right camera's yaw
+    and roll; nominal is what a user has"""
+    epochs: int = 100
+    """passes over the data; the paper says 80 to 140"""
+    max_steps: int = 0
+    """optimiser steps at most; 0: as many as the epochs have"""
+    minutes: float = 0.0
+    """stop, with a checkpoint, after this time; 0: no limit. The rate still follows the epochs"""
+    lr: float = 1e-4
+    """of Adam, at the start"""
+    lr_final: float = 0.05
+    """the rate decays exponentially to this share of itself at the last step. The paper names
+    neither decay nor end; .05 over 100 epochs is 3 % an epoch"""
+    warmup_steps: int = 0
+    """the rate grows linearly over the first steps; not in the paper"""
+    accumulate: int = 1
+    """backward passes per optimiser step"""
+    clip: float = 1.0
+    """of the gradient's norm; not in the paper"""
+    precision: Literal["no", "bf16", "fp16"] = "no"
+    """of the network; geometry stays float64"""
+    val_pairs: int = 48
+    """the last pairs of the data, which are not trained on: they choose the best weights"""
+    val_every: int = 500
+    """steps between validations; each one also writes a checkpoint"""
+    overfit: int = 0
+    """self-check: train on this many pairs as they stand, and validate on the same. 4 of them
+    should come below 0.02 degrees"""
+
+
+TRAINING: dict[str, TrainOptions] = {
+    "paper": TrainOptions(data=Path("shards")),
+    "small": TrainOptions(
+        data=Path("shards"),
+        preset="small",
+        model=SMALL,
+        loading=Loading(batch=8),
+        loss=LossWeights(matching=0.5),
+        lr=5e-4,
+        warmup_steps=100,
+    ),
+}

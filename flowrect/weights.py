@@ -1,0 +1,148 @@
+"""Weights in files: safetensors with the network's config in the header. Nothing is unpickled.
+
+The header's metadata holds ``format``, ``config`` (JSON of ModelConfig) and ``card`` (JSON of
+:class:`Card`: where the weights come from and what they were trained for), so a file is enough to
+build the network again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import TypeAdapter, ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from flowrect.config import ModelConfig
+from flowrect.model import Rectifier
+from simgen.errors import UserError
+
+FORMAT = "flowrect-weights-1"
+SHIPPED = Path(__file__).with_name("weights_data")
+
+
+@dataclass(frozen=True)
+class Card:
+    """What is known of trained weights."""
+
+    preset: str
+    """paper or small, or "custom" where a field differs"""
+    prior_range_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """largest |R_gt R_priorᵀ| about x, y, z seen in training"""
+    samples: int = 0
+    """pairs seen in training"""
+    data: str = ""
+    """what they were trained on"""
+    translation: str = ""
+    """gt or nominal: which t the prior had"""
+    fit: Literal["crop", "stretch"] = "crop"
+    """how images were fitted to the input, see flowrect.resize.Sizing"""
+    keep: float = 1.0
+    """share of the window that was kept"""
+
+
+def save_weights(path: Path, model: Rectifier, card: Card) -> None:
+    """Writes a file that ``load_weights`` reads, atomically."""
+    tensors = {name: x.detach().cpu().contiguous() for name, x in model.state_dict().items()}
+    metadata = {
+        "format": FORMAT,
+        "config": json.dumps(asdict(model.config)),
+        "card": json.dumps(asdict(card)),
+    }
+    partial = path.with_name(path.name + ".partial")
+    save_file(tensors, partial, metadata)
+    os.replace(partial, path)
+
+
+def load_weights(path: Path, *, expected: ModelConfig | None = None) -> tuple[Rectifier, Card]:
+    """The network of a file, in evaluation mode on the CPU, and its card.
+
+    Args:
+      path: a file of ``save_weights``.
+      expected: the config that the network must have; any if not given.
+
+    Raises:
+      UserError: not such a file, or not weights of that network.
+    """
+    config, card = _read_header(path)
+    if expected is not None and config != expected:
+        raise UserError(
+            f"{path} holds weights of another network: {_differences(config, expected)}. Choose "
+            "the preset and the fields that it was trained with, or other weights."
+        )
+    model = Rectifier(config)
+    tensors = load_file(path)
+    _check_tensors(path, tensors, model.state_dict())
+    model.load_state_dict(tensors)
+    return model.eval(), card
+
+
+def find_weights(name_or_path: str | Path) -> Path:
+    """The file of shipped weights of that name, or the path itself."""
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    shipped = SHIPPED / f"{name_or_path}.safetensors"
+    if shipped.is_file():
+        return shipped
+    names = sorted(p.stem for p in SHIPPED.glob("*.safetensors"))
+    raise UserError(
+        f"weights {str(name_or_path)!r}: expected a file or one of the shipped "
+        f"{names or 'names (there are none here)'}; check the spelling, or train some with "
+        "python -m flowrect.train."
+    )
+
+
+def config_from_json(text: str) -> ModelConfig:
+    """ModelConfig of its JSON; ValueError if a field is missing, unknown or of the wrong type."""
+    names, given = {f.name for f in fields(ModelConfig)}, set(json.loads(text))
+    if names != given:
+        raise ValueError(f"fields {sorted(names ^ given)} are on one side only")
+    return TypeAdapter(ModelConfig).validate_json(text)
+
+
+def _read_header(path: Path) -> tuple[ModelConfig, Card]:
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+    except SafetensorError as error:
+        raise UserError(
+            f"{path} is no safetensors file ({error}). Pickles (.pt, .pth, .ckpt) are refused, "
+            "since reading one runs the code in it; expected a file written by flowrect.train."
+        ) from error
+    if metadata.get("format") != FORMAT:
+        raise UserError(
+            f"{path}: expected format {FORMAT!r} in its header, found {metadata.get('format')!r}; "
+            "written by another program or version? Use weights written by flowrect.train."
+        )
+    try:
+        card = TypeAdapter(Card).validate_json(metadata["card"])
+        return config_from_json(metadata["config"]), card
+    except (KeyError, ValueError, ValidationError) as error:
+        raise UserError(
+            f"{path}: its header does not describe a network that this version builds ({error}); "
+            "written by another version? Train again, or use that version."
+        ) from error
+
+
+def _differences(found: ModelConfig, expected: ModelConfig) -> str:
+    """``channels is 64, expected 128; …``"""
+    a, b = asdict(found), asdict(expected)
+    return "; ".join(f"{k} is {a[k]!r}, expected {b[k]!r}" for k in a if a[k] != b[k])
+
+
+def _check_tensors(path: Path, found: dict[str, Tensor], expected: dict[str, Any]) -> None:
+    """Raises where names or shapes differ, naming the first."""
+    for name in sorted(found.keys() | expected.keys()):
+        have = tuple(found[name].shape) if name in found else "absent"
+        want = tuple(expected[name].shape) if name in expected else "absent"
+        if have != want:
+            raise UserError(
+                f"{path}: tensor {name!r} is {have}, expected {want}; the file does not fit its "
+                "own header. Damaged? Use another copy."
+            )

@@ -1,0 +1,220 @@
+"""Training: resuming changes nothing, neither does sharing a batch; it learns; it stops cleanly."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file
+from tiny_network import TINY, TINY_PAPER, road_set, training
+
+from flowrect import checkpoint, train
+from flowrect.config import MODELS, TRAINING, LossWeights
+from flowrect.runlog import keep_lines_until
+from flowrect.weights import load_weights
+from simgen.errors import UserError
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return road_set(tmp_path_factory.mktemp("set"))
+
+
+def rows(out: Path) -> list[dict]:
+    return [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+
+
+def losses(out: Path) -> list[float]:
+    return [row["loss"] for row in rows(out) if "loss" in row]
+
+
+def assert_same_tensors(a: Path, b: Path) -> None:
+    first, second = load_file(a), load_file(b)
+    assert first.keys() == second.keys()
+    for name, tensor in first.items():
+        assert torch.equal(tensor, second[name]), name
+
+
+def interrupt_after(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C arrives during the step after ``steps``."""
+    learning_rate = train.learning_rate
+
+    def interrupting(step: int, *rest: object) -> float:
+        if step == steps:
+            os.kill(os.getpid(), signal.SIGINT)
+        return learning_rate(step, *rest)
+
+    monkeypatch.setattr(train, "learning_rate", interrupting)
+
+
+@pytest.mark.parametrize("model", [TINY, TINY_PAPER], ids=["small", "paper"])
+def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(
+    model, data, tmp_path, monkeypatch
+):
+    whole, parts = (
+        training(data, tmp_path / name, model=model, accumulate=2, max_steps=4) for name in "ab"
+    )
+    train.train(whole)
+    with monkeypatch.context() as patch:
+        interrupt_after(2, patch)  # it finishes: 3 steps of 2 batches, amid the second epoch of 4
+        train.train(parts)
+    assert len(losses(parts.out)) == 3
+    train.train(parts)
+    assert_same_tensors(whole.out / "last.safetensors", parts.out / "last.safetensors")
+    validated_at_the_break = {"step": 3, "validation": rows(parts.out)[3]["validation"]}
+    assert [r for r in rows(parts.out) if r != validated_at_the_break] == rows(whole.out)
+    a, b = (torch.load(o.out / train.CHECKPOINT, weights_only=True) for o in (whole, parts))
+    assert torch.equal(a["random"]["cpu"], b["random"]["cpu"])
+    for x, y in zip(
+        a["optimiser"]["state"].values(), b["optimiser"]["state"].values(), strict=True
+    ):
+        assert torch.equal(x["exp_avg_sq"], y["exp_avg_sq"])
+
+
+def test_a_finished_run_trains_no_further(data, tmp_path):
+    options = training(data, tmp_path)
+    scores = train.train(options)
+    before = rows(tmp_path)
+    assert train.train(options) == scores
+    assert rows(tmp_path) == before
+
+
+def test_loss_falls_on_few_pairs(data, tmp_path):
+    options = training(data, tmp_path, overfit=2, max_steps=30, val_every=30, lr=5e-3)
+    train.train(options)
+    rotation = [row["rotation"] for row in rows(tmp_path) if "loss" in row]
+    assert rotation[-1] < 0.5 * rotation[0]
+
+
+@pytest.mark.slow
+def test_two_processes_learn_what_one_does(data, tmp_path):
+    """Same global batch. The rotation loss is a mean over pairs: only the order of sums differs.
+
+    The other terms are means over all correspondences that count, of which pairs have unequal
+    numbers, so a mean over processes weighs them a little differently.
+    """
+    script = tmp_path / "run.py"
+    script.write_text(
+        "import sys; sys.path.insert(0, 'tests'); import test_train; "
+        f"test_train.train_both_ways({str(data)!r}, {str(tmp_path / 'two')!r})"
+    )
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc_per_node"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "ACCELERATE_USE_CPU": "true"}
+    subprocess.run(
+        [*command, "2", str(script)], check=True, cwd=REPOSITORY, env=environment, timeout=300
+    )
+    train_both_ways(data, tmp_path / "one")
+    for name, tolerance in (("rotation", 1e-5), ("all", 5e-3)):
+        one, two = (losses(tmp_path / n / name) for n in ("one", "two"))
+        assert two == pytest.approx(one, rel=tolerance)
+
+
+def train_both_ways(data: Path | str, out: Path | str) -> None:
+    """With the rotation loss alone, and with all terms."""
+    torch.set_num_threads(1)
+    alone = {"teacher": "none", "loss": LossWeights(matching=0)}
+    train.train(training(Path(data), Path(out) / "rotation", **alone))
+    train.train(training(Path(data), Path(out) / "all"))
+
+
+def test_a_loss_that_is_not_finite_stops_and_leaves_the_batch(data, tmp_path, monkeypatch):
+    def broken(*_: object, weight: float) -> torch.Tensor:
+        return torch.tensor(float("nan"), requires_grad=True)
+
+    monkeypatch.setattr(train, "rotation_loss", broken)
+    with pytest.raises(UserError, match=r"loss is nan, expected a finite number. Its batch is in"):
+        train.train(training(data, tmp_path))
+    with safe_open(tmp_path / "bad_batch.safetensors", framework="pt") as file:
+        assert file.get_tensor("left").shape == (2, 3, 32, 64)
+        assert len(json.loads(file.metadata()["names"])) == 2
+
+
+def test_minutes_end_a_run_with_a_checkpoint(data, tmp_path):
+    train.train(training(data, tmp_path, minutes=1e-6, max_steps=1000))
+    assert checkpoint.load(tmp_path / train.CHECKPOINT, train.plain(
+        training(data, tmp_path, max_steps=1000, keep=_kept(tmp_path))))["step"] == 1  # fmt: skip
+
+
+def _kept(out: Path) -> float:
+    return load_weights(out / "last.safetensors")[1].keep
+
+
+def test_weights_know_what_priors_they_were_trained_for(data, tmp_path):
+    train.train(training(data, tmp_path))
+    card = load_weights(tmp_path / "best.safetensors")[1]
+    assert all(0.1 < limit < 2.1 for limit in card.prior_range_deg)
+    assert (card.preset, card.samples, card.translation) == ("custom", 6, "gt")
+
+
+def test_training_starts_from_given_weights(data, tmp_path):
+    first = training(data, tmp_path / "first")
+    train.train(first)
+    second = replace(
+        first, out=tmp_path / "second", init=str(first.out / "last.safetensors"), max_steps=1,
+        lr=1e-12,
+    )  # fmt: skip
+    train.train(second)
+    a, b = (load_file(o.out / "last.safetensors") for o in (first, second))
+    for name, tensor in a.items():
+        torch.testing.assert_close(tensor, b[name], rtol=0, atol=1e-9)
+
+
+def test_other_options_do_not_resume(data, tmp_path):
+    train.train(training(data, tmp_path))
+    with pytest.raises(UserError, match=r"other options: lr was 0\.0005, now 0\.1"):
+        train.train(training(data, tmp_path, lr=0.1))
+
+
+def test_a_damaged_checkpoint_is_refused(data, tmp_path):
+    (tmp_path / train.CHECKPOINT).write_bytes(b"PK not one")
+    with pytest.raises(UserError, match=r"is no checkpoint of flowrect\.train"):
+        train.train(training(data, tmp_path))
+
+
+def test_a_set_smaller_than_its_validation_is_refused(data, tmp_path):
+    with pytest.raises(UserError, match=r"12 pairs, of which the last 12 are for validation"):
+        train.train(training(data, tmp_path, val_pairs=12))
+
+
+def test_lines_after_the_checkpoint_are_dropped(tmp_path):
+    path = tmp_path / "metrics.jsonl"
+    path.write_text('{"step": 1}\n{"step": 2}\n{"step": 3}\n{"ste')
+    keep_lines_until(path, 2)
+    assert path.read_text() == '{"step": 1}\n{"step": 2}\n'
+
+
+def test_the_rate_decays_exponentially_after_its_warm_up():
+    options = replace(TRAINING["small"], lr=1.0, lr_final=0.01, warmup_steps=4)
+    assert train.learning_rate(0, 100, options) == pytest.approx(0.25)
+    assert train.learning_rate(50, 100, options) == pytest.approx(0.1)
+    assert train.learning_rate(100, 100, options) == pytest.approx(0.01)
+
+
+def test_each_preset_trains_its_own_network():
+    assert {name: options.model for name, options in TRAINING.items()} == MODELS
+    assert {name: options.preset for name, options in TRAINING.items()} == {n: n for n in MODELS}
+
+
+@pytest.mark.parametrize("arguments", [["--preset", "paper"], ["--data", "x", "--preset=paper"]])
+def test_a_preset_that_is_asked_for_is_taken(arguments):
+    assert train.choose_preset(arguments) == ("paper", "as asked")
+
+
+def test_without_a_gpu_the_small_preset_is_taken(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert train.choose_preset(["--data", "x"]) == ("small", "there is no GPU; paper needs one")
+
+
+def test_the_command_reports_an_absent_set(tmp_path, capsys):
+    assert train.main(["--data", str(tmp_path / "nothing"), "--out", str(tmp_path / "run")]) == 2
+    assert "no such folder" in capsys.readouterr().err
