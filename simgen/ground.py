@@ -367,13 +367,16 @@ def _paint(band: Band, layers: Layers, spec: SceneSpec, seed: int) -> Maps:
     tracks = canvas.blurred(canvas.mask(layers.tracks), 0.16)
 
     tone, color = canvas.land()
+    gravel = canvas.gravel()
     for share, (layer_tone, layer_color) in (
-        (shoulder, canvas.gravel()),
+        (shoulder, gravel),
         (road, canvas.asphalt(layers, tracks, wear)),
-        (median * 0.9, canvas.gravel()),
+        (median * 0.9, gravel),
         (pavement, canvas.slabs()),
         (kerb, (1 + 0.12 * canvas.grain, _KERB)),
     ):
+        if not share.any():
+            continue
         tone += (layer_tone - tone) * share
         color += (np.asarray(layer_color, np.float32) - color) * _half(share)[..., None]
     tone *= 1 - 0.6 * np.maximum(road, pavement) * canvas.mask(layers.seams, thin=0.01)
@@ -468,8 +471,7 @@ class _Canvas:
         h, w = self.band.shape
         fine = int(np.clip(np.ceil(self.texel[0] / 0.05), 1, 4))
         raster = np.zeros((h, w * fine), dtype=np.uint8)
-        visible = [r for r in self._in_texels(rings) if _touches(r, (h, w))]
-        points = [np.round((r + 0.5) * [16 * fine, 16] - 8).astype(np.int32) for r in visible]
+        points = self._visible(rings, fine)
         for group in [points] if thin is None else [[p] for p in points]:
             if group:
                 cv2.fillPoly(raster, group, 255, cv2.LINE_AA, shift=4)
@@ -477,11 +479,17 @@ class _Canvas:
         weight = 1.0 if thin is None else min(1.0, thin / (self.texel[0] / fine))
         return coverage * np.float32(weight / 255)
 
-    def _in_texels(self, rings: Sequence[Array]) -> list[Array]:
+    def _visible(self, rings: Sequence[Array], fine: int) -> list[NDArray[np.int32]]:
+        """The rings that touch the band, in 1/16 of texels that are ``fine`` times finer across."""
         if not len(rings):
             return []
-        ends = np.cumsum([len(r) for r in rings])[:-1]
-        return np.split(self.band.texels(np.concatenate(rings)), ends)
+        texels = self.band.texels(np.concatenate(rings))
+        ends = np.cumsum([len(r) for r in rings])
+        starts = ends - [len(r) for r in rings]
+        low, high = (of.reduceat(texels, starts) for of in (np.minimum, np.maximum))
+        touches = ((low < self.band.shape[::-1]) & (high > 0)).all(axis=1)
+        points = np.round((texels + 0.5) * [16 * fine, 16] - 8).astype(np.int32)
+        return [points[a:b] for a, b in zip(starts[touches], ends[touches], strict=True)]
 
     def land(self) -> tuple[Image, Image]:
         """Grass with dry and bare places."""
@@ -549,14 +557,10 @@ class _Canvas:
         """Manhole covers: a dark rim and a cast lid."""
         for scale, level in ((1.0, 0.05), (0.86, 0.125)):
             share = self.mask(_discs(discs * [1, 1, scale])) * np.float32(0.9)
+            if not share.any():
+                return
             tone += (level * (1 + 0.35 * self.grain) - tone) * share
             color += (1 - color) * _half(share)[..., None]
-
-
-def _touches(ring: Array, hw: tuple[int, int]) -> bool:
-    h, w = hw
-    low, high = ring.min(axis=0), ring.max(axis=0)
-    return bool(low[0] < w and low[1] < h and high[0] > 0 and high[1] > 0)
 
 
 def _discs(discs: Array) -> list[Array]:
