@@ -273,7 +273,7 @@ def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
         has_vertex_texcoords=has_uv, props=properties,
     )  # fmt: skip
     if not has_uv:
-        mesh.add_attribute("vertex_color", 3, np.zeros(3 * num_vertices, np.float32))
+        mesh.add_attribute("vertex_color", 3, [0.0] * (3 * num_vertices))
     params = mi.traverse(mesh)
     params["vertex_positions"] = vertices.ravel()
     params["faces"] = faces.ravel()
