@@ -78,6 +78,8 @@ class Layout:
         """(N, 3) world positions of lamps that burn at night"""
         self.designs: dict[tuple[str, int], Vehicle] = {}
         """of the scene's vehicles, by family and number: built when first met"""
+        self.far_trees: dict[tuple[str, int], Model] = {}
+        """by species and number, likewise"""
         self.crossing = crossing
 
     def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> Literal[0, 1, 2]:

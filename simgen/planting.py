@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from simgen import vegetation
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
-from simgen.mesh import Model
+from simgen.mesh import Model, placed
 from simgen.roads import offset_line, resampled
 
 
@@ -20,8 +22,28 @@ def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, fl
     height = low + (high - low) * float(rng.uniform(*share_of_height))
     if not layout.in_view(xy) or not layout.site.claim([(*xy[:2], 0.9)]):
         return []
-    model = vegetation.tree(species, height_m=height, lod=layout.lod(xy), rng=rng)
+    lod = layout.lod(xy)
+    if lod < FAR:
+        model = vegetation.tree(species, height_m=height, lod=lod, rng=rng)
+    else:
+        model = _far_tree(layout, species, height, rng)
     return sunk(layout.stand(model, xy, float(rng.uniform(0, 2 * np.pi))), 0.08)
+
+
+FAR = 2
+"""level of detail from which on trees need not be individuals"""
+FAR_DESIGNS = 8
+"""different far trees of a species: each stands turned, scaled and tinted"""
+
+
+def _far_tree(layout: Layout, species: str, height_m: float, rng: np.random.Generator) -> Model:
+    key, usual = (species, int(rng.integers(FAR_DESIGNS))), vegetation.SPECIES[species].height_m[1]
+    if key not in layout.far_trees:
+        own = layout.spec.stream(f"far {species} {key[1]}")
+        layout.far_trees[key] = vegetation.tree(species, height_m=usual, lod=FAR, rng=own)
+    tint = rng.uniform(0.85, 1.15, 3).astype(np.float32)
+    scaled = placed(layout.far_trees[key], xyz=np.zeros(3), scale=height_m / usual)
+    return [p if p.color is None else replace(p, color=p.color * tint) for p in scaled]
 
 
 def street_trees(layout: Layout) -> Placed:
