@@ -1,0 +1,241 @@
+"""Spray: the mist that wheels throw up from wet roads.
+
+A plume is a row of puffs behind and beside a vehicle that goes fast: Gaussians of extinction that
+grow wider and thinner with the distance from the wheels. A ray's optical depth in a Gaussian, up to
+the surface where it ends, is an error function. Spray is white: what it hides, it replaces by the
+light of the air, as haze does; so it makes no difference how much haze lies before it.
+
+Plumes are of the world: all cameras of a rig see the same ones, each from where it stands.
+How dense they are was chosen by eye, not measured; that it grows with the square of the speed
+follows the energy of what the tyres throw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from simgen.along_rays import at_all_pixels, coarser, directions, enlarged
+from simgen.geometry import Array, transform_points
+from simgen.rig import Camera
+from simgen.skymap import seen_through
+
+Image = NDArray[Any]
+"""float32"""
+
+FROM_WETNESS = 0.5
+FROM_M_S = 10.0
+_COLUMNS = 640
+"""cells of the coarse grid in a row of the image"""
+_REACH = 3.0
+"""standard deviations at which a puff ends"""
+_NUM_BEHIND = 6
+
+
+class Wheels(NamedTuple):
+    """What the wheels of a class of vehicles throw up."""
+
+    extinction: float
+    """at the wheels, on a road with a film of water, at 25 m/s [1/m]"""
+    height_m: float
+    """of the plume where it begins: a standard deviation"""
+    lasts_s: float
+    """time after which the plume is thinner by e, the widening apart"""
+
+
+WHEELS = {
+    "car": Wheels(0.16, 0.35, 0.5),
+    "truck": Wheels(0.30, 0.75, 1.0),
+    "bus": Wheels(0.26, 0.65, 0.9),
+    "motorcycle": Wheels(0.08, 0.25, 0.3),
+}
+"""by class in ``spec["movers"]``"""
+
+
+@dataclass(frozen=True)
+class Plume:
+    """The spray of one mover."""
+
+    instance: int
+    extinction_per_m: tuple[float, ...]
+    """at the middle of each puff"""
+    aside_m: tuple[float, ...]
+    """of each puff from the vehicle's track, left is positive"""
+
+
+@dataclass(frozen=True, eq=False)
+class Puffs:
+    """Gaussians of extinction."""
+
+    middle: Array
+    """(N, 3) in the world"""
+    T_puff_world: Array
+    """(N, 4, 4): metres to standard deviations along, across and up"""
+    extinction: Array
+    """(N,) in the middle [1/m]"""
+
+
+# --- from movers to puffs ------------------------------------------------------------------------
+
+
+def plumes(
+    movers: Sequence[Mapping[str, Any]], wetness: float, *, rng: np.random.Generator
+) -> list[Plume]:
+    """Draws the spray of a frame's movers (``spec["movers"]``); none on a road that is not wet."""
+    if wetness < FROM_WETNESS:
+        return []
+    return [
+        _plume(m, wetness, rng=rng)
+        for m in movers
+        if m["speed_m_s"] >= FROM_M_S and m["class"] in WHEELS
+    ]
+
+
+def _plume(mover: Mapping[str, Any], wetness: float, *, rng: np.random.Generator) -> Plume:
+    behind, sigma = _shape(mover)
+    wheels = WHEELS[mover["class"]]
+    thinned = sigma[0, 1:].prod() / sigma[:, 1:].prod(axis=1)
+    faded = np.exp(-np.maximum(behind, 0) / (wheels.lasts_s * mover["speed_m_s"]))
+    thrown = wheels.extinction * wetness * (mover["speed_m_s"] / 25.0) ** 2
+    uneven = rng.lognormal(0.0, 0.25, len(behind))
+    aside = rng.normal(0.0, 0.15, len(behind)) * sigma[:, 1]
+    extinction = thrown * thinned * faded * uneven
+    return Plume(mover["instance"], _rounded(extinction), _rounded(aside))
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
+    return tuple(np.round(values, 4).tolist())
+
+
+def _shape(mover: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Distances (n,) behind the vehicle's end, and standard deviations (n, 3) of its puffs.
+
+    The first lies along the vehicle, the others behind, each longer than the one before.
+    """
+    length, width, _ = mover["size_m"]
+    wheels = WHEELS[mover["class"]]
+    place = (np.arange(_NUM_BEHIND) + 0.5) / _NUM_BEHIND
+    reach = 1.5 * wheels.lasts_s * mover["speed_m_s"]
+    behind = np.concatenate([[-0.3 * length], reach * place**2])
+    along = np.concatenate([[0.2 * length], 1.2 * reach * place / _NUM_BEHIND])
+    wider = np.maximum(behind, 0)
+    sigma = np.stack([along, 0.4 * width + 0.04 * wider, wheels.height_m + 0.03 * wider], axis=1)
+    return behind, sigma
+
+
+def puffs(sprayed: Sequence[Plume], movers: Sequence[Mapping[str, Any]]) -> Puffs:
+    """Where the plumes' puffs are."""
+    by_instance = {m["instance"]: m for m in movers}
+    placed = [_placed(p, by_instance[p.instance]) for p in sprayed]
+    middle, T, extinction = (np.concatenate(x) for x in zip(*placed, strict=True))
+    return Puffs(middle, T, extinction)
+
+
+def _placed(plume: Plume, mover: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+    behind, sigma = _shape(mover)
+    heading = mover["heading_rad"]
+    forward, left = np.array([[np.cos(heading), np.sin(heading), 0],
+                              [-np.sin(heading), np.cos(heading), 0]])  # fmt: skip
+    axes = np.stack([forward, left, [0.0, 0.0, 1.0]])
+    local = np.stack([-behind - mover["size_m"][0] / 2, plume.aside_m, sigma[:, 2]], axis=1)
+    middle = mover["xyz"] + local @ axes
+    T = np.tile(np.eye(4), (len(middle), 1, 1))
+    T[:, :3, :3] = axes / sigma[:, :, None]
+    T[:, :3, 3] = -np.einsum("nij,nj->ni", T[:, :3, :3], middle)
+    return middle, T, np.array(plume.extinction_per_m)
+
+
+# --- in the image --------------------------------------------------------------------------------
+
+
+def seen_in_spray(
+    radiance: Image, cloud: Puffs, camera: Camera, distance_m: Image, airlight: Image
+) -> Image:
+    """Radiance (H, W, 3) with the puffs before it; the same array where none is in view.
+
+    Args:
+      distance_m: (H, W) of the scene, infinite for the sky; puffs behind it are hidden.
+      airlight: the map of daylight.airlight.
+    """
+    boxes = [_box(T, camera) for T in cloud.T_puff_world]
+    left, top, right, bottom = _around(boxes)
+    if right <= left or bottom <= top:
+        return radiance
+    window = np.s_[top:bottom, left:right]
+    view = _cropped(camera, left, top, right, bottom)
+    step = -(-camera.wh[0] // _COLUMNS)
+    depth = at_all_pixels(partial(optical_depth, cloud), view, distance_m[window], step=step)
+    small = coarser(view, 4 * step)
+    air = seen_through(airlight, small.K, small.T_world_cam[:3, :3], small.wh)
+    behind = radiance[window]
+    seen = radiance.copy()
+    seen[window] -= np.expm1(-np.maximum(depth, 0)) * (enlarged(air, view.wh, 4 * step) - behind)
+    return seen
+
+
+def optical_depth(cloud: Puffs, camera: Camera, distance_m: Array) -> Array:
+    """Of all puffs (h, w, 1) along the camera's rays, up to where they end."""
+    unit = directions(camera)
+    depth = np.zeros((*distance_m.shape, 1))
+    for T, extinction in zip(cloud.T_puff_world, cloud.extinction, strict=True):
+        left, top, right, bottom = _box(T, camera)
+        window = np.s_[top:bottom, left:right]
+        if right > left and bottom > top:
+            along = unit[window] @ T[:3, :3].T
+            start = transform_points(T, camera.centre)
+            depth[window][..., 0] += extinction * gaussian_length(start, along, distance_m[window])
+    return depth
+
+
+def gaussian_length(start: Array, along: Array, end: Array) -> Array:
+    """∫ exp(−|start + t·along|²/2) dt from 0 to ``end`` (...).
+
+    ``start`` (3,) and ``along`` (..., 3), of any length, are in standard deviations.
+    """
+    a = np.einsum("...k,...k->...", along, along)
+    b = along @ start
+    scale = np.sqrt(2 * a)
+    closest = np.exp(-0.5 * np.maximum(start @ start - b**2 / a, 0))
+    share = erf((a * end + b) / scale) - erf(b / scale)
+    return np.asarray(closest * np.sqrt(np.pi / 2) / np.sqrt(a) * share)
+
+
+Box = tuple[int, int, int, int]
+"""left, top, right, bottom [px]; the last two exclusive, and no more than the first if empty"""
+
+
+def _box(T_puff_world: Array, camera: Camera) -> Box:
+    """What part of the image a puff can touch; all of it, if the puff reaches the camera."""
+    w, h = camera.wh
+    cube = _REACH * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = transform_points(camera.T_cam_world @ np.linalg.inv(T_puff_world), cube)
+    near = corners[:, 2] < 0.1
+    if near.all():
+        return 0, 0, 0, 0
+    if near.any():
+        return 0, 0, w, h
+    uvw = corners @ camera.K.T
+    uv = uvw[:, :2] / uvw[:, 2:]
+    first = np.clip(np.floor(uv.min(axis=0)), 0, (w, h)).astype(int)
+    last = np.clip(np.ceil(uv.max(axis=0)) + 1, 0, (w, h)).astype(int)
+    return int(first[0]), int(first[1]), int(last[0]), int(last[1])
+
+
+def _around(boxes: Sequence[Box]) -> Box:
+    """The box around all that are not empty."""
+    some = np.array([b for b in boxes if b[2] > b[0] and b[3] > b[1]] or [(0, 0, 0, 0)])
+    left, top = some[:, :2].min(axis=0)
+    right, bottom = some[:, 2:].max(axis=0)
+    return int(left), int(top), int(right), int(bottom)
+
+
+def _cropped(camera: Camera, left: int, top: int, right: int, bottom: int) -> Camera:
+    K = camera.K.copy()
+    K[:2, 2] -= left, top
+    return Camera(K, camera.T_world_cam, (right - left, bottom - top))
