@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simgen.geometry import Array
 from simgen.rig import Camera
 
 Image = NDArray[Any]
@@ -32,7 +31,7 @@ _EQUAL = 1e-6
 
 
 def at_all_pixels(
-    evaluate: Callable[[Camera, Array], Array], camera: Camera, distance_m: Image, *, step: int
+    evaluate: Callable[[Camera, Image], Image], camera: Camera, distance_m: Image, *, step: int
 ) -> Image:
     """A function of direction and distance (H, W, k).
 
@@ -54,20 +53,21 @@ def at_all_pixels(
     return values
 
 
-def _range_around(y: Image, step: int) -> tuple[Array, Array]:
+def _range_around(y: Image, step: int) -> tuple[Image, Image]:
     """Least and greatest y of each cell and the eight around it, which share in its pixels."""
     h, w = y.shape
     padded = np.pad(y, ((0, -h % step), (0, -w % step)), mode="edge")
-    cells = padded.reshape(padded.shape[0] // step, step, -1, step)
+    rows, columns = (n // step for n in padded.shape)
+    strips, cells = (rows, step, columns * step), (rows, columns, step)
+    least = padded.reshape(strips).min(axis=1).reshape(cells).min(axis=2)
+    greatest = padded.reshape(strips).max(axis=1).reshape(cells).max(axis=2)
     around = np.ones((3, 3), np.uint8)
-    near = cv2.erode(cells.min(axis=(1, 3)), around)
-    far = cv2.dilate(cells.max(axis=(1, 3)), around)
-    return near.astype(np.float64), far.astype(np.float64)
+    return cv2.erode(least, around), cv2.dilate(greatest, around)
 
 
-def _distance(y: Array) -> Array:
+def _distance(y: Image) -> Image:
     with np.errstate(divide="ignore"):
-        return np.asarray(HALF_WAY_M * y / (1 - y))
+        return np.asarray(np.float32(HALF_WAY_M) * y / (1 - y))
 
 
 def coarser(camera: Camera, step: int) -> Camera:
@@ -79,17 +79,18 @@ def coarser(camera: Camera, step: int) -> Camera:
     return Camera(K, camera.T_world_cam, (-(-w // step), -(-h // step)))
 
 
-def enlarged(coarse: Array, wh: tuple[int, int], step: int) -> Image:
+def enlarged(coarse: Image, wh: tuple[int, int], step: int) -> Image:
     """An image (h, w, k) of :func:`coarser` at the pixels of the camera itself (H, W, k)."""
     (w, h), (rows, columns, k) = wh, coarse.shape
-    fine = cv2.resize(coarse.astype(np.float32), (columns * step, rows * step))
+    fine = cv2.resize(coarse, (columns * step, rows * step))
     return fine.reshape(rows * step, columns * step, k)[:h, :w]
 
 
-def directions(camera: Camera) -> Array:
+def directions(camera: Camera) -> Image:
     """Unit rays (h, w, 3) through pixel centres, in the world."""
     w, h = camera.wh
     M = camera.T_world_cam[:3, :3] @ np.linalg.inv(camera.K)
     u, v = np.arange(w)[None, :, None], np.arange(h)[:, None, None]
     rays = u * M[:, 0] + v * M[:, 1] + M[:, 2]
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    return np.asarray(rays, dtype=np.float32)

@@ -15,11 +15,15 @@ ends, the integral is an arc tangent for the phase function
 that of Reynolds and McCormick, *Approximate two-parameter phase function for light scattering*
 (JOSA 70, 1980), with their exponent 1 + a at a = 0 (Henyey and Greenstein have a = ½).
 
-Every path is dimmed like the straight one: a path by way of the droplet is longer by
-h (x − x at the camera), little where droplets turn light by little, as most do. Sun, Ramamoorthi,
-Narasimhan and Nayar, *A practical analytic single scattering model for real time rendering*
-(SIGGRAPH 2005), keep that factor and pay with a table. Lamps have no shadows in the air, and
-what reaches a camera is what they send towards the rig: behind a wall a lamp has no halo.
+Every path is dimmed like the straight one, exp(−β d). One by way of a droplet is longer, little
+where droplets turn light by little, as most do: of a lamp at 30 m in air of 100 m visibility, the
+halo comes out 1 % too bright 3° beside the lamp, 8 % at 11° and 33 % at 29°, where it is faint.
+Sun, Ramamoorthi, Narasimhan and Nayar, *A practical analytic single scattering model for real time
+rendering* (SIGGRAPH 2005), from whom the geometry is, keep the detour and pay with a table.
+
+Lamps cast no shadows into the air, but only those that the rig sees count: behind a wall a lamp
+has no halo. Its intensity is what it sends towards the rig, which is what the droplets near the
+line of sight, that turn light by little, receive.
 """
 
 from __future__ import annotations
@@ -113,37 +117,36 @@ def scattered(
     return at_all_pixels(evaluate, camera, distance_m, step=step)
 
 
-def _halos(camera: Camera, distance_m: Array, *, shining: Lights, beta: float) -> Array:
+def _halos(camera: Camera, distance_m: Image, *, shining: Lights, beta: float) -> Image:
     """Radiance (h, w, 3); no lamp is smaller than the pixels, or its peak would be lost."""
-    unit, end = directions(camera), np.minimum(distance_m, _FAR_M)
-    pixel_rad = 0.5 / camera.K[0, 0]
-    light = np.zeros((*end.shape, 3))
-    for xyz, intensity, radius in zip(
-        shining.xyz, shining.intensity, shining.radius_m, strict=True
-    ):
-        towards = xyz - camera.centre
-        radius = np.hypot(radius, pixel_rad * np.linalg.norm(towards))
-        light += halo(unit @ towards, towards @ towards, end, radius, beta)[..., None] * intensity
+    unit, end = directions(camera), np.minimum(distance_m, np.float32(_FAR_M))
+    towards = (shining.xyz - camera.centre).astype(np.float32)
+    distance = np.linalg.norm(towards, axis=1)
+    radius = np.hypot(shining.radius_m, 0.5 / camera.K[0, 0] * distance)
+    light = np.zeros((*end.shape, 3), np.float32)
+    for i, intensity in enumerate(shining.intensity.astype(np.float32)):
+        dim = halo(unit @ towards[i], float(distance[i]), end, float(radius[i]), beta)
+        light += dim[..., None] * intensity
     return light
 
 
-def halo(closest_m: Array, square_m2: float, end_m: Array, radius_m: float, beta: float) -> Array:
+def halo(closest_m: Array, distance_m: float, end_m: Array, radius_m: float, beta: float) -> Array:
     """Radiance along rays per intensity of a lamp [1/m²].
 
     Args:
       closest_m: how far along each ray the lamp is closest; negative behind the camera.
-      square_m2: distance of the lamp, squared.
+      distance_m: of the lamp.
       end_m: where the rays end.
       radius_m: of the lamp: rays pass it at no less.
       beta: extinction of the air [1/m].
     """
-    h2 = np.maximum(square_m2 - closest_m**2, 0.0) + radius_m**2
+    h2 = np.maximum(distance_m**2 - closest_m**2, 0) + radius_m**2
     h = np.sqrt(h2)
     start = _half_tangent(-closest_m, h, h2)
     end = _half_tangent(end_m - closest_m, h, h2)
     w = (1 - FORWARD) / (1 + FORWARD)
     turned = np.arctan2(w * (end - start), w**2 + start * end)
-    dimmed = beta * np.exp(-beta * np.sqrt(square_m2)) / (4 * np.pi)
+    dimmed = beta * float(np.exp(-beta * distance_m)) / (4 * np.pi)
     return np.asarray(dimmed * _NORM * turned / h)
 
 
@@ -153,5 +156,5 @@ def _half_tangent(t: Array, h: Array, h2: Array) -> Array:
     return np.where(t > 0, length / h, h / length)
 
 
-_NORM = 4 * FORWARD / (1 - FORWARD**2) / np.log((1 + FORWARD) / (1 - FORWARD))
+_NORM = 4 * FORWARD / (1 - FORWARD**2) / float(np.log((1 + FORWARD) / (1 - FORWARD)))
 """makes the mean of p over all directions 1, and its integral this times the arc tangent"""

@@ -179,10 +179,10 @@ def seen_in_spray(
     return seen
 
 
-def optical_depth(cloud: Puffs, camera: Camera, distance_m: Array) -> Array:
+def optical_depth(cloud: Puffs, camera: Camera, distance_m: Image) -> Image:
     """Of all puffs (h, w, 1) along the camera's rays, up to where they end."""
     unit = directions(camera)
-    depth = np.zeros((*distance_m.shape, 1))
+    depth = np.zeros((*distance_m.shape, 1), np.float32)
     for T, extinction in zip(cloud.T_puff_world, cloud.extinction, strict=True):
         left, top, right, bottom = _box(T, camera)
         window = np.s_[top:bottom, left:right]
