@@ -91,6 +91,5 @@ def directions(camera: Camera) -> Image:
     w, h = camera.wh
     M = camera.T_world_cam[:3, :3] @ np.linalg.inv(camera.K)
     u, v = np.arange(w)[None, :, None], np.arange(h)[:, None, None]
-    rays = u * M[:, 0] + v * M[:, 1] + M[:, 2]
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    return np.asarray(rays, dtype=np.float32)
+    rays = np.asarray(u * M[:, 0] + v * M[:, 1] + M[:, 2])
+    return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)

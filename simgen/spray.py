@@ -31,7 +31,7 @@ Image = NDArray[Any]
 
 FROM_WETNESS = 0.5
 FROM_M_S = 10.0
-_COLUMNS = 640
+_COLUMNS = 512
 """cells of the coarse grid in a row of the image"""
 _REACH = 3.0
 """standard deviations at which a puff ends"""
@@ -51,8 +51,8 @@ class Wheels(NamedTuple):
 
 WHEELS = {
     "car": Wheels(0.16, 0.35, 0.5),
-    "truck": Wheels(0.30, 0.75, 1.0),
-    "bus": Wheels(0.26, 0.65, 0.9),
+    "truck": Wheels(0.18, 0.65, 0.7),
+    "bus": Wheels(0.15, 0.6, 0.7),
     "motorcycle": Wheels(0.08, 0.25, 0.3),
 }
 """by class in ``spec["movers"]``"""
@@ -121,7 +121,7 @@ def _shape(mover: Mapping[str, Any]) -> tuple[Array, Array]:
     length, width, _ = mover["size_m"]
     wheels = WHEELS[mover["class"]]
     place = (np.arange(_NUM_BEHIND) + 0.5) / _NUM_BEHIND
-    reach = 1.5 * wheels.lasts_s * mover["speed_m_s"]
+    reach = 1.3 * wheels.lasts_s * mover["speed_m_s"]
     behind = np.concatenate([[-0.3 * length], reach * place**2])
     along = np.concatenate([[0.2 * length], 1.2 * reach * place / _NUM_BEHIND])
     wider = np.maximum(behind, 0)
@@ -187,9 +187,10 @@ def optical_depth(cloud: Puffs, camera: Camera, distance_m: Image) -> Image:
         left, top, right, bottom = _box(T, camera)
         window = np.s_[top:bottom, left:right]
         if right > left and bottom > top:
-            along = unit[window] @ T[:3, :3].T
-            start = transform_points(T, camera.centre)
-            depth[window][..., 0] += extinction * gaussian_length(start, along, distance_m[window])
+            along = unit[window] @ T[:3, :3].T.astype(np.float32)
+            start = transform_points(T, camera.centre).astype(np.float32)
+            length = gaussian_length(start, along, distance_m[window])
+            depth[window][..., 0] += np.float32(extinction) * length
     return depth
 
 
@@ -201,9 +202,10 @@ def gaussian_length(start: Array, along: Array, end: Array) -> Array:
     a = np.einsum("...k,...k->...", along, along)
     b = along @ start
     scale = np.sqrt(2 * a)
-    closest = np.exp(-0.5 * np.maximum(start @ start - b**2 / a, 0))
-    share = erf((a * end + b) / scale) - erf(b / scale)
-    return np.asarray(closest * np.sqrt(np.pi / 2) / np.sqrt(a) * share)
+    before = b / scale
+    closest = np.exp(np.minimum(before**2 - start @ start / 2, 0))
+    share = erf(scale * end / 2 + before) - erf(before)
+    return np.asarray(closest * share / scale * float(np.sqrt(np.pi)))
 
 
 Box = tuple[int, int, int, int]
