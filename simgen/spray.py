@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from simgen.along_rays import at_all_pixels, coarser, directions, enlarged
-from simgen.geometry import Array, transform_points
+from simgen.geometry import Array, project, transform_points
 from simgen.rig import Camera
 from simgen.skymap import seen_through
 
@@ -35,6 +35,7 @@ _COLUMNS = 512
 """cells of the coarse grid in a row of the image"""
 _REACH = 3.0
 """standard deviations at which a puff ends"""
+_NEAR_M = 0.1
 _NUM_BEHIND = 6
 
 
@@ -163,19 +164,21 @@ def seen_in_spray(
       distance_m: (H, W) of the scene, infinite for the sky; puffs behind it are hidden.
       airlight: the map of daylight.airlight.
     """
-    boxes = [_box(T, camera) for T in cloud.T_puff_world]
-    left, top, right, bottom = _around(boxes)
-    if right <= left or bottom <= top:
+    boxes = _boxes(cloud, camera)
+    boxes = boxes[_in_view(boxes)]
+    if not len(boxes):
         return radiance
+    (left, top), (right, bottom) = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     window = np.s_[top:bottom, left:right]
     view = _cropped(camera, left, top, right, bottom)
     step = -(-camera.wh[0] // _COLUMNS)
     depth = at_all_pixels(partial(optical_depth, cloud), view, distance_m[window], step=step)
     small = coarser(view, 4 * step)
     air = seen_through(airlight, small.K, small.T_world_cam[:3, :3], small.wh)
-    behind = radiance[window]
+    added = enlarged(air, view.wh, 4 * step) - radiance[window]
+    added *= -np.expm1(-np.maximum(depth, 0))
     seen = radiance.copy()
-    seen[window] -= np.expm1(-np.maximum(depth, 0)) * (enlarged(air, view.wh, 4 * step) - behind)
+    seen[window] += added
     return seen
 
 
@@ -183,18 +186,18 @@ def optical_depth(cloud: Puffs, camera: Camera, distance_m: Image) -> Image:
     """Of all puffs (h, w, 1) along the camera's rays, up to where they end."""
     unit = directions(camera)
     depth = np.zeros((*distance_m.shape, 1), np.float32)
-    for T, extinction in zip(cloud.T_puff_world, cloud.extinction, strict=True):
-        left, top, right, bottom = _box(T, camera)
-        window = np.s_[top:bottom, left:right]
-        if right > left and bottom > top:
-            along = unit[window] @ T[:3, :3].T.astype(np.float32)
-            start = transform_points(T, camera.centre).astype(np.float32)
-            length = gaussian_length(start, along, distance_m[window])
-            depth[window][..., 0] += np.float32(extinction) * length
+    boxes = _boxes(cloud, camera)
+    for i in np.flatnonzero(_in_view(boxes)):
+        left, top, right, bottom = boxes[i]
+        window, T = np.s_[top:bottom, left:right], cloud.T_puff_world[i]
+        along = unit[window] @ T[:3, :3].T.astype(np.float32)
+        start = transform_points(T, camera.centre).astype(np.float32)
+        length = gaussian_length(start, along, distance_m[window])
+        depth[window][..., 0] += np.float32(cloud.extinction[i]) * length
     return depth
 
 
-def gaussian_length(start: Array, along: Array, end: Array) -> Array:
+def gaussian_length(start: Image, along: Image, end: Image) -> Image:
     """∫ exp(−|start + t·along|²/2) dt from 0 to ``end`` (...).
 
     ``start`` (3,) and ``along`` (..., 3), of any length, are in standard deviations.
@@ -208,33 +211,27 @@ def gaussian_length(start: Array, along: Array, end: Array) -> Array:
     return np.asarray(closest * share / scale * float(np.sqrt(np.pi)))
 
 
-Box = tuple[int, int, int, int]
-"""left, top, right, bottom [px]; the last two exclusive, and no more than the first if empty"""
+def _boxes(cloud: Puffs, camera: Camera) -> NDArray[np.int64]:
+    """What part of the image each puff can touch (N, 4): left, top, right, bottom [px].
+
+    The last two are exclusive. It is all of the image if the puff reaches the camera's plane.
+    """
+    cube = _REACH * np.array([[x, y, z, 1 / _REACH] for x in (-1, 1) for y in (-1, 1)
+                              for z in (-1, 1)])  # fmt: skip
+    T_cam_puff = camera.T_cam_world @ np.linalg.inv(cloud.T_puff_world)
+    corners = cube @ T_cam_puff[:, :3].transpose(0, 2, 1)
+    near = corners[..., 2] < _NEAR_M
+    uv = project(camera.K, np.where(near[..., None], 1.0, corners))
+    first, last = np.floor(uv.min(axis=1)), np.ceil(uv.max(axis=1)) + 1
+    boxes = np.clip(np.hstack([first, last]), 0, [*camera.wh, *camera.wh]).astype(np.int64)
+    boxes[near.any(axis=1)] = 0, 0, *camera.wh
+    boxes[near.all(axis=1)] = 0
+    return boxes
 
 
-def _box(T_puff_world: Array, camera: Camera) -> Box:
-    """What part of the image a puff can touch; all of it, if the puff reaches the camera."""
-    w, h = camera.wh
-    cube = _REACH * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    corners = transform_points(camera.T_cam_world @ np.linalg.inv(T_puff_world), cube)
-    near = corners[:, 2] < 0.1
-    if near.all():
-        return 0, 0, 0, 0
-    if near.any():
-        return 0, 0, w, h
-    uvw = corners @ camera.K.T
-    uv = uvw[:, :2] / uvw[:, 2:]
-    first = np.clip(np.floor(uv.min(axis=0)), 0, (w, h)).astype(int)
-    last = np.clip(np.ceil(uv.max(axis=0)) + 1, 0, (w, h)).astype(int)
-    return int(first[0]), int(first[1]), int(last[0]), int(last[1])
-
-
-def _around(boxes: Sequence[Box]) -> Box:
-    """The box around all that are not empty."""
-    some = np.array([b for b in boxes if b[2] > b[0] and b[3] > b[1]] or [(0, 0, 0, 0)])
-    left, top = some[:, :2].min(axis=0)
-    right, bottom = some[:, 2:].max(axis=0)
-    return int(left), int(top), int(right), int(bottom)
+def _in_view(boxes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which boxes (N, 4) are not empty."""
+    return np.asarray((boxes[:, 2:] > boxes[:, :2]).all(axis=1))
 
 
 def _cropped(camera: Camera, left: int, top: int, right: int, bottom: int) -> Camera:
