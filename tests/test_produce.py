@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simgen import engine, export
+from simgen import engine, export, halos
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
 from simgen.produce import (
@@ -24,6 +24,7 @@ from simgen.run import FrameTask
 from simgen.store import content_sha256, stored_content, write_frame
 
 OPTIONS = RenderOptions(n=3, size="96x54", recipes="rural", daylight="noon", spp=1)
+IN_FOG = replace(OPTIONS, daylight="night", weather="fog")
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +81,13 @@ def test_images_are_exposed(frames):
     for frame in frames.values():
         assert 40 < frame["image"].mean() < 215
         assert frame["image"].std() > 15
+
+
+def test_the_spec_names_spray_and_halos_only_where_they_are(job, frames):
+    dry = frames[0]["spec"]
+    assert (dry["spray"], dry["halos"]) == (None, None)
+    frame, _ = make_frame(resolve(IN_FOG, job.variant), 0, attempt=0)
+    assert frame["spec"]["halos"]["g"] == halos.FORWARD
 
 
 def test_frames_of_a_scene_share_the_road_but_not_the_rig(job):
