@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simgen import engine, export, halos
+from simgen import engine, export, halos, spray
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
 from simgen.produce import (
@@ -84,10 +84,13 @@ def test_images_are_exposed(frames):
 
 
 def test_the_spec_names_spray_and_halos_only_where_they_are(job, frames):
-    dry = frames[0]["spec"]
-    assert (dry["spray"], dry["halos"]) == (None, None)
-    frame, _ = make_frame(resolve(IN_FOG, job.variant), 0, attempt=0)
-    assert frame["spec"]["halos"]["g"] == halos.FORWARD
+    by_day = frames[0]["spec"]
+    fast = {m["instance"] for m in by_day["movers"] if m["speed_m_s"] >= spray.FROM_M_S}
+    assert {p["instance"] for p in by_day["spray"] or ()} <= fast
+    assert by_day["halos"] is None
+    in_fog = make_frame(resolve(IN_FOG, job.variant), 0, attempt=0)[0]["spec"]
+    assert in_fog["spray"] is None
+    assert in_fog["halos"]["g"] == halos.FORWARD
 
 
 def test_frames_of_a_scene_share_the_road_but_not_the_rig(job):
