@@ -46,9 +46,19 @@ class Mover:
             "instance": instance,
             "class": _NAMES[min(p.semantic for p in self.model)],
             "xyz": [round(float(x), 3) for x in self.xyz],
+            "size_m": self._size_m(),
             "heading_rad": round(self.heading_rad, 4),
             "speed_m_s": round(self.speed_m_s, 2),
         }
+
+    def _size_m(self) -> list[float]:
+        """Length, width and height: how far the model reaches along its own axes."""
+        c, s = np.cos(self.heading_rad), np.sin(self.heading_rad)
+        R_world_model = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        along = [p.vertices @ R_world_model for p in self.model]
+        low = np.min([a.min(axis=0) for a in along], axis=0)
+        high = np.max([a.max(axis=0) for a in along], axis=0)
+        return [round(float(x), 2) for x in high - low]
 
 
 Placed = Iterator[Model | Mover]

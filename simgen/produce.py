@@ -23,13 +23,25 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from simgen import __version__, daylight, glow, groundtruth, rain, render, scene, sensor, world
+from simgen import (
+    __version__,
+    daylight,
+    glow,
+    groundtruth,
+    halos,
+    rain,
+    render,
+    scene,
+    sensor,
+    spray,
+    world,
+)
 from simgen.checks import check_frame
 from simgen.config import Job
 from simgen.engine import Engine, activate
 from simgen.ground import Optics
 from simgen.metering import Exposure, expose
-from simgen.recipe import SceneSpec, draw_scene, draw_sky, pick, stream
+from simgen.recipe import SceneSpec, SkySpec, draw_scene, draw_sky, pick, stream
 from simgen.rig import PosedRig, pose
 from simgen.run import FrameRejected, FrameResult, FrameTask
 from simgen.store import write_frame
@@ -134,7 +146,7 @@ def load(plan: FramePlan, job: Job, watch: Stopwatch) -> tuple[scene.Scene, Any]
 def radiance(
     plan: FramePlan, job: Job, loaded: scene.Scene, sky: Any, watch: Stopwatch
 ) -> list[render.Image]:
-    """Linear radiance (H, W, 3) of every camera, haze and rain included."""
+    """Linear radiance (H, W, 3) of every camera, haze, spray and rain included."""
     air = daylight.airlight(sky)
     visibility_m = plan.spec.sky.visibility_m
     clear = []
@@ -150,11 +162,60 @@ def radiance(
         hazy = pool.map(lambda c: render.through_haze(c[0], c[1], c[2], air, visibility_m), clear)
         lit = (glow.emitted(loaded, c, visibility_m) for c in plan.posed.cameras)
         images = [image + light for image, light in zip(hazy, lit, strict=True)]
+    distances = [np.where(f.coverage > 0, f.distance_m, np.inf) for _, f, _ in clear]
+    del clear
+    with watch("haze"):
+        images = _with_halos(plan, loaded, images, distances)
+        images = _in_spray(plan, loaded, images, distances, air)
     if plan.shower is None:
         return images
     with watch("rain"):
-        distances = [np.where(f.coverage > 0, f.distance_m, np.inf) for _, f, _ in clear]
         return _in_rain(plan, job, plan.shower, images, distances, sky)
+
+
+def _foggy_night(sky: SkySpec) -> bool:
+    """Whether lamps have halos."""
+    return daylight.is_night(sky) and sky.visibility_m < halos.BELOW_M
+
+
+def _with_halos(
+    plan: FramePlan, loaded: scene.Scene, images: list[render.Image], distances: list[render.Image]
+) -> list[render.Image]:
+    """Radiances with the light that fog scatters around lamps."""
+    cameras, visibility_m = plan.posed.cameras, plan.spec.sky.visibility_m
+    if not _foggy_night(plan.spec.sky):
+        return images
+    shining = halos.lights(loaded, cameras, visibility_m)
+
+    def one(c: int) -> render.Image:
+        return images[c] + halos.scattered(shining, cameras[c], distances[c], visibility_m)
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(one, range(len(images))))
+
+
+def _plumes(plan: FramePlan, movers: list[dict[str, Any]]) -> list[spray.Plume]:
+    return spray.plumes(movers, plan.spec.sky.wetness, rng=plan.spec.stream("spray"))
+
+
+def _in_spray(
+    plan: FramePlan,
+    loaded: scene.Scene,
+    images: list[render.Image],
+    distances: list[render.Image],
+    air: render.Image,
+) -> list[render.Image]:
+    """Radiances behind what wheels throw up, which all cameras see."""
+    plumes = _plumes(plan, loaded.movers)
+    if not plumes:
+        return images
+    cloud, cameras = spray.puffs(plumes, loaded.movers), plan.posed.cameras
+
+    def one(c: int) -> render.Image:
+        return spray.seen_in_spray(images[c], cloud, cameras[c], distances[c], air)
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(one, range(len(images))))
 
 
 def _in_rain(
@@ -273,6 +334,8 @@ def _spec_json(
         "movers": movers,
         "opendrive": job.opendrive_sha256,
         "rain": asdict(plan.shower) if plan.shower else None,
+        "spray": [asdict(p) for p in _plumes(plan, movers)] or None,
+        "halos": {"g": halos.FORWARD, "lights": halos.MOST_LIGHTS} if _foggy_night(sky) else None,
         "sensor": job.sensor,
         "exposure": [asdict(e) for e in exposures],
         "samples": {"spp": job.spp, "features_spp": render.FEATURE_SPP,

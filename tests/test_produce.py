@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simgen import engine, export
+from simgen import engine, export, halos, spray
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
 from simgen.produce import (
@@ -24,6 +24,7 @@ from simgen.run import FrameTask
 from simgen.store import content_sha256, stored_content, write_frame
 
 OPTIONS = RenderOptions(n=3, size="96x54", recipes="rural", daylight="noon", spp=1)
+IN_FOG = replace(OPTIONS, daylight="night", weather="fog")
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +81,16 @@ def test_images_are_exposed(frames):
     for frame in frames.values():
         assert 40 < frame["image"].mean() < 215
         assert frame["image"].std() > 15
+
+
+def test_the_spec_names_spray_and_halos_only_where_they_are(job, frames):
+    by_day = frames[0]["spec"]
+    fast = {m["instance"] for m in by_day["movers"] if m["speed_m_s"] >= spray.FROM_M_S}
+    assert {p["instance"] for p in by_day["spray"] or ()} <= fast
+    assert by_day["halos"] is None
+    in_fog = make_frame(resolve(IN_FOG, job.variant), 0, attempt=0)[0]["spec"]
+    assert in_fog["spray"] is None
+    assert in_fog["halos"]["g"] == halos.FORWARD
 
 
 def test_frames_of_a_scene_share_the_road_but_not_the_rig(job):

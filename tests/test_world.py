@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from test_ground import make_spec
 
-from simgen import world
+from simgen import mesh, world
 from simgen.ground import Optics
+from simgen.layout import Mover
 from simgen.mesh import Part
 from simgen.recipe import recipe_names
 from simgen.scene import World
@@ -129,3 +130,11 @@ def test_each_mover_is_the_instance_it_names(built):
     for mover in scene.movers:
         assert LABELS[mover["class"]] in labels[mover["instance"]]
         assert np.linalg.norm(middle[mover["instance"]] - mover["xyz"][:2]) < 9.0
+
+
+def test_the_size_of_a_mover_is_that_along_its_own_axes():
+    vertices, faces = mesh.box((4.0, 1.8, 1.5))
+    car = [mesh.part(vertices, faces, "matte", LABELS["car"])]
+    model = mesh.placed(car, xyz=[5, -3, 1], heading_rad=0.7)
+    mover = Mover(model, np.array([5.0, -3.0, 1.0]), 0.7, 12.0)
+    np.testing.assert_allclose(mover.record(1)["size_m"], [4.0, 1.8, 1.5], atol=0.011)
