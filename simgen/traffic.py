@@ -19,7 +19,9 @@ from simgen.vehicles import Vehicle
 
 NUM_DESIGNS = 10
 """Designs of one scene, shared out among the families; each has at least one."""
-_NEVER_IN_BAYS = ("bus", "box_truck", "semi_trailer")
+_HEAVY = ("bus", "box_truck", "semi_trailer")
+HEAVY_M_S = 25.0
+"""as fast as they may go"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ def moving(layout: Layout) -> Placed:
 def parked(layout: Layout) -> Placed:
     """Vehicles in the bays of parking lanes."""
     rng = layout.spec.stream("parked")
-    small = {k: v for k, v in layout.spec.families.items() if k not in _NEVER_IN_BAYS}
+    small = {k: v for k, v in layout.spec.families.items() if k not in _HEAVY}
     fleet = _Fleet(layout, small, rng)
     for lane in layout.lanes:
         if lane.kind == "parking" and not lane.in_junction:
@@ -115,5 +117,6 @@ def _vehicle(
     discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, 6)]
     if layout.site.claim(discs):
         normal = road_normal(lane.centre, s, along)
+        speed_m_s = min(speed_m_s, HEAVY_M_S) if vehicle.family in _HEAVY else speed_m_s
         z = float(point[2])
         yield layout.mover(vehicle.model, xy, heading, speed_m_s, z=z, normal=normal)
