@@ -53,9 +53,17 @@ def rotation_from_matches(
         J = _jacobian(seen).gather(2, across[..., None].expand(-1, -1, 1, 3))[:, :, 0]
         w = weight * f**2 / (1 + (f * residual / ROBUST_PX) ** 2)
         A = J.mT @ (w[..., None] * J) + ridge
-        b = J.mT @ (w * residual)[..., None] - ridge @ omega[..., None]
-        omega = omega + torch.linalg.solve(A, b)[..., 0]
+        b = (J.mT @ (w * residual)[..., None])[..., 0] - omega @ ridge
+        omega = omega + _solve(A, b)
     return rotation_from_vector(omega)
+
+
+def _solve(A: Tensor, b: Tensor) -> Tensor:
+    """A⁻¹ b (B, 3) of A (B, 3, 3) by Cramer's rule, since ONNX has no solver."""
+    x, y, z = A.unbind(-1)
+    rows = torch.stack([torch.linalg.cross(*ab) for ab in ((y, z), (z, x), (x, y))], -2)
+    determinant = (x * rows[:, 0]).sum(-1, keepdim=True)
+    return (rows @ b[..., None])[..., 0] / determinant
 
 
 def _jacobian(xy: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from math import prod
 
 import torch
 import torch.nn.functional as F
@@ -314,7 +315,7 @@ class Rectifier(nn.Module):
     @property
     def stride(self) -> int:
         """Image pixels per feature pixel."""
-        return int(torch.tensor(self.config.strides).prod())
+        return prod(self.config.strides)
 
     def forward(
         self, left: Tensor, right: Tensor, K_left: Tensor, K_right: Tensor, R_init: Tensor,
