@@ -7,8 +7,12 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
+    "Calibration": "flowrect.calibration",
     "Correspondences": "flowrect.correspondences",
+    "Estimate": "flowrect.estimate",
     "Rectification": "flowrect.drectify",
+    "load_model": "flowrect.estimate",
+    "read_calibration": "flowrect.formats",
 }
 __all__ = list(_HOME)
 

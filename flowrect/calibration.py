@@ -1,25 +1,27 @@
-"""A rig of two cameras as OpenCV YAML: what a user writes down, and what stereo tools exchange.
+"""A rig of two cameras: intrinsics, lenses and relative pose, and what rectification makes of it.
 
-Entries: ``K_left``, ``K_right`` (3×3) [px]; ``R`` (3×3), ``T`` (3) of X_right = R X_left + T;
-``image_width``, ``image_height`` of the images that K belongs to; ``dist_left``, ``dist_right``
-(OpenCV's distortion coefficients; left out: none). ``cv2.FileStorage`` reads and writes it.
+``flowrect.formats`` reads and writes it. Conventions are OpenCV's: X_right = R X_left + t, pixel
+centres at whole numbers, distortion as ``cv2.undistort`` or ``cv2.fisheye`` understands it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import cv2
 import numpy as np
+import torch
 
-from flowrect.files import matrix, rotation
+from flowrect.drectify import rectify
+from flowrect.files import matrix
+from flowrect.sample import Image
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
-NUM_DIST = (4, 5, 8, 12, 14)  # lengths that OpenCV knows
-REQUIRED = ("K_left", "K_right", "R", "T", "image_width", "image_height")
+Lens = Literal["polynomial", "fisheye"]
+NUM_DIST: dict[Lens, tuple[int, ...]] = {"polynomial": (4, 5, 8, 12, 14), "fisheye": (4,)}
+"""how many coefficients OpenCV's lenses may have"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +34,10 @@ class Calibration:
     """(4, 4)"""
     wh: tuple[int, int]
     """(width, height) [px] of the images that K belongs to"""
-    dist_left: Array = field(default_factory=lambda: np.zeros(5))
-    dist_right: Array = field(default_factory=lambda: np.zeros(5))
+    dist_left: Array = field(default_factory=lambda: np.zeros(4))
+    dist_right: Array = field(default_factory=lambda: np.zeros(4))
+    lens: Lens = "polynomial"
+    """what dist means: k1, k2, p1, p2[, k3, …] of OpenCV, or k1 … k4 of cv2.fisheye"""
 
     def require_size(self, wh: tuple[int, int], where: str) -> None:
         """UserError unless images have the calibrated size."""
@@ -43,67 +47,85 @@ class Calibration:
                 f"{self.wh[0]}x{self.wh[1]}. Give images of that size, or a calibration of theirs."
             )
 
-    def save(self, path: Path) -> None:
-        """Writes the YAML file."""
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-        try:
-            for name in ("K_left", "K_right", "dist_left", "dist_right"):
-                storage.write(name, getattr(self, name))
-            storage.write("R", self.T_right_left[:3, :3])
-            storage.write("T", self.T_right_left[:3, 3:])
-            storage.write("image_width", self.wh[0])
-            storage.write("image_height", self.wh[1])
-        finally:
-            storage.release()
+    def with_pose(self, R: Array, t: Array) -> Calibration:
+        """The same cameras, X_right = R X_left + t."""
+        return replace(self, T_right_left=transform(R, t))
 
-    @classmethod
-    def load(cls, path: Path) -> Calibration:
-        """Reads the YAML file; UserError says which entry is missing or wrong."""
-        values = _entries(path)
-        R, t = rotation(values["R"], f"{path}: R"), matrix(values["T"], (3,), f"{path}: T")
-        return cls(
-            K_left=matrix(values["K_left"], (3, 3), f"{path}: K_left"),
-            K_right=matrix(values["K_right"], (3, 3), f"{path}: K_right"),
-            T_right_left=transform(R, t),
-            wh=(int(values["image_width"]), int(values["image_height"])),
-            dist_left=_distortion(values.get("dist_left"), f"{path}: dist_left"),
-            dist_right=_distortion(values.get("dist_right"), f"{path}: dist_right"),
+    def undistorted(self, left: Image, right: Image) -> tuple[Image, Image]:
+        """Both images as lenses without distortion would give them, with the same K."""
+        pinholes = not (np.any(self.dist_left) or np.any(self.dist_right))
+        if pinholes and self.lens == "polynomial":  # a fisheye of zeros is equidistant
+            return left, right
+        return self._warped(left, right, np.eye(3), np.eye(3), self.K_left, self.K_right)
+
+    def rectified(self, left: Image, right: Image, to: Projections) -> tuple[Image, Image]:
+        """Both images as taken, undistorted and rectified in one resampling; black outside."""
+        return self._warped(left, right, to.R1, to.R2, to.P1[:, :3], to.P2[:, :3])
+
+    def _warped(
+        self, left: Image, right: Image, R1: Array, R2: Array, K1: Array, K2: Array
+    ) -> tuple[Image, Image]:
+        maps = (
+            cv2.fisheye.initUndistortRectifyMap
+            if self.lens == "fisheye"
+            else cv2.initUndistortRectifyMap
         )
+        first, second = (
+            cv2.remap(image, *maps(K, dist, R, K_new, self.wh, cv2.CV_32FC1), cv2.INTER_CUBIC)
+            for image, K, dist, R, K_new in (
+                (left, self.K_left, self.dist_left, R1, K1),
+                (right, self.K_right, self.dist_right, R2, K2),
+            )
+        )
+        return first, second
 
 
-def _entries(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise UserError(f"{path}: no such calibration.")
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
-        raise UserError(f"{path}: not OpenCV YAML; its first line must be %YAML:1.0.") from error
-    try:
-        root = storage.root()
-        values = {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
-    finally:
-        storage.release()
-    missing = [name for name in REQUIRED if values.get(name) is None]
-    if missing:
+@dataclass(frozen=True, eq=False)
+class Projections:
+    """What ``cv2.stereoRectify`` returns, with CALIB_ZERO_DISPARITY and alpha = -1; float64."""
+
+    R1: Array
+    """(3, 3) left camera to rectified frame"""
+    R2: Array
+    """(3, 3) right camera to rectified frame"""
+    P1: Array
+    """(3, 4) projection of the rectified left image, of the size of the given ones [px]"""
+    P2: Array
+    """(3, 4) the same of the right one, of points in the rectified *left* frame"""
+    Q: Array
+    """(4, 4) (u, v, disparity, 1) to homogeneous points of the rectified left frame"""
+
+    @property
+    def vertical(self) -> bool:
+        """Whether the baseline is vertical, so that a point has the same u in both images."""
+        return bool(abs(self.P2[1, 3]) > abs(self.P2[0, 3]))
+
+
+def projections(
+    T_right_left: Array, K_left: Array, K_right: Array, wh: tuple[int, int]
+) -> Projections:
+    """Rectification of a pair of pinhole cameras of one image size."""
+    R, t, K1, K2 = (
+        torch.as_tensor(np.asarray(x, dtype=np.float64))[None]
+        for x in (T_right_left[:3, :3], T_right_left[:3, 3], K_left, K_right)
+    )
+    rect = rectify(R, t, K1, K2, wh)
+    R_left, R_right, K = (x[0].numpy() for x in (rect.R_left, rect.R_right, rect.K_new))
+    baseline = R_right @ T_right_left[:3, 3]  # along x, or along y for a vertical rig
+    P1 = np.hstack([K, np.zeros((3, 1))])
+    P2 = np.hstack([K, K @ baseline[:, None]])
+    Q = np.array([[1, 0, 0, -K[0, 2]], [0, 1, 0, -K[1, 2]], [0, 0, 0, K[0, 0]], [0, 0, 0, 0.0]])
+    Q[3, 2] = -1 / baseline[1 if bool(rect.vertical) else 0]
+    return Projections(R_left, R_right, P1, P2, Q)
+
+
+def distortion(values: Array | None, lens: Lens, where: str) -> Array:
+    """Coefficients of a lens; 0 where there are none."""
+    allowed = NUM_DIST[lens]
+    if values is None or np.size(values) == 0:
+        return np.zeros(allowed[0])
+    if np.size(values) not in allowed:
         raise UserError(
-            f"{path}: no entry {', '.join(missing)}; found {', '.join(values) or 'nothing'}. "
-            f"Expected {', '.join(REQUIRED)}, and dist_left, dist_right unless they are 0."
+            f"{where}: {np.size(values)} coefficients, expected one of {allowed} ({lens} lens)."
         )
-    return values
-
-
-def _value(node: cv2.FileNode) -> Any:
-    """A matrix, a list or a number of a node; None for anything else."""
-    if node.isMap():
-        return np.asarray(node.mat(), dtype=np.float64)
-    if node.isSeq():
-        return np.array([node.at(i).real() for i in range(node.size())])
-    return np.float64(node.real()) if node.isInt() or node.isReal() else None
-
-
-def _distortion(values: Array | None, where: str) -> Array:
-    if values is None:
-        return np.zeros(5)
-    if values.size not in NUM_DIST:
-        raise UserError(f"{where}: {values.size} coefficients, expected one of {NUM_DIST}.")
-    return matrix(values, (values.size,), where)
+    return matrix(values, (np.size(values),), where)

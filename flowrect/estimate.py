@@ -14,36 +14,27 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from flowrect.drectify import rectify
+from flowrect.calibration import Projections, projections
 from flowrect.geometry import angles_per_axis_rad
 from flowrect.model import Rectifier
 from flowrect.resize import Sizing, sized
 from flowrect.sample import Image, Pair, collate
 from flowrect.weights import Card, find_weights, load_weights
 from simgen.errors import UserError
-from simgen.geometry import Array
+from simgen.geometry import Array, transform
 
 MIN_CONTRAST = 2.0
 """standard deviation of an image's grey levels (of 255) below which there is nothing to match"""
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """A calibration of the pair, float64 NumPy; matrices as ``cv2.stereoRectify`` names them."""
+class Estimate(Projections):
+    """A calibration of the pair, float64 NumPy: its pose, and the rectification that follows."""
 
     R: Array
     """(3, 3) X_right = R X_left + t"""
     t: Array
     """(3,) that of the prior: the network predicts rotation alone"""
-    R1: Array
-    """(3, 3) left camera to rectified frame"""
-    R2: Array
-    """(3, 3) right camera to rectified frame"""
-    P1: Array
-    """(3, 4) projection of the rectified left image, of the size of the given ones [px]"""
-    P2: Array
-    Q: Array
-    """(4, 4) (u, v, disparity, 1) to homogeneous points of the rectified left frame"""
     correction_deg: Array
     """(3,) of R against the prior, about the right camera's x, y, z"""
     match_probability: float
@@ -93,8 +84,11 @@ class Calibrator:
         notes = (*_texture_notes(batch.left, batch.right), *self._range_notes(correction))
         for note in notes:
             warnings.warn(note, stacklevel=2)
+        R, t = prediction.R[0].numpy(), pair.T_right_left_nominal[:3, 3]
         return Estimate(
-            *_calibration(prediction.R, batch.t_nominal, pair),
+            **vars(projections(transform(R, t), pair.K_left, pair.K_right, pair.wh)),
+            R=R,
+            t=t,
             correction_deg=correction,
             match_probability=float(prediction.log_matches.amax(-1).exp().mean()),
             notes=notes,
@@ -134,21 +128,6 @@ def _texture_notes(left: torch.Tensor, right: torch.Tensor) -> list[str]:
         for side, image in (("left", left), ("right", right))
         if 255 * (contrast := float(image.mean(1).std())) < MIN_CONTRAST
     ]
-
-
-def _calibration(
-    R: torch.Tensor, t: torch.Tensor, pair: Pair
-) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
-    """R, t, R1, R2, P1, P2, Q for images of the pair's size; R (1, 3, 3), t (1, 3)."""
-    K_left, K_right = (torch.from_numpy(np.asarray(K))[None] for K in (pair.K_left, pair.K_right))
-    rect = rectify(R, t, K_left, K_right, pair.wh)
-    R1, R2, K = (x[0].numpy() for x in (rect.R_left, rect.R_right, rect.K_new))
-    baseline = R2 @ t[0].numpy()  # along x, or along y for a vertical rig
-    P1 = np.hstack([K, np.zeros((3, 1))])
-    P2 = np.hstack([K, K @ baseline[:, None]])
-    Q = np.array([[1, 0, 0, -K[0, 2]], [0, 1, 0, -K[1, 2]], [0, 0, 0, K[0, 0]], [0, 0, 0, 0.0]])
-    Q[3, 2] = -1 / baseline[1 if bool(rect.vertical) else 0]
-    return R[0].numpy(), t[0].numpy(), R1, R2, P1, P2, Q
 
 
 def _angles(degrees: Array) -> str:

@@ -3,7 +3,8 @@
 Per camera ``camera-<c>.exr`` holds linear radiance R, G, B (rendered again from the spec) as it
 reaches the sensor, through haze, rain and the drops on the glass; depth.Z [m], ids semantic and
 instance. Per pair ``pair-<left>-<right>.exr`` holds flow.u, flow.v [px] and the status of both
-directions. Floats are 32 bit, so nothing is rounded.
+directions. Floats are 32 bit, so nothing is rounded. ``pair-<left>-<right>.yaml`` is the *nominal*
+rig as OpenCV YAML, which flowrect.rectify starts from.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from simgen import engine, given_map
 from simgen.config import Job
 from simgen.errors import UserError
+from simgen.geometry import inverse
 from simgen.shards import Frame, ShardSet
 
 
@@ -45,6 +47,7 @@ def export_frame(folder: Path, index: int, to: Path) -> list[Path]:
         cv2.imwrite(str(paths[-1]), frame.read("image", c)[..., ::-1])
     for p, (left, right) in enumerate(frame.pairs):
         paths.append(_write_exr(to / f"pair-{left}-{right}.exr", pair_channels(frame, p)))
+        paths.append(write_nominal_rig(to / f"pair-{left}-{right}.yaml", frame, p))
     paths.append(to / "frame.json")
     paths[-1].write_text(json.dumps(_cameras(frame), indent=1), encoding="utf-8")
     return paths
@@ -69,6 +72,23 @@ def pair_channels(frame: Frame, p: int) -> dict[str, Any]:
         "status.forward": frame.read("flow_status", p).astype(np.uint32),
         "status.reverse": frame.read("flow_status_reverse", p).astype(np.uint32),
     }
+
+
+def write_nominal_rig(path: Path, frame: Frame, p: int) -> Path:
+    """Intrinsics and nominal pose of a pair: X_right = R X_left + T."""
+    left, right = frame.pairs[p]
+    T_world = frame.T_world_cam_nominal
+    T_right_left = inverse(T_world[right]) @ T_world[left]
+    height, width = frame.read("image", left).shape[:2]
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", width)
+    storage.write("image_height", height)
+    storage.write("K_left", frame.K[left])
+    storage.write("K_right", frame.K[right])
+    storage.write("R", T_right_left[:3, :3])
+    storage.write("T", T_right_left[:3, 3:])
+    storage.release()
+    return path
 
 
 def _render_again(job: Job, index: int, attempt: int) -> list[NDArray[np.float32]]:

@@ -15,6 +15,7 @@ from painted import centroids, dots
 from small_set import make_frame, write_set
 
 from flowrect.calibration import Calibration
+from flowrect.formats import opencv
 from flowrect.sample import Pair
 from flowrect.sources import open_source
 from simgen.errors import UserError
@@ -65,7 +66,7 @@ def _folder(folder: Path, dist: Array = DIST) -> Path:
     for name in ("b", "a"):
         _paint(folder / "left" / f"{name}.png", _seen(K_A, points, dist))
         _paint(folder / "right" / f"{name}.png", _seen(K_B, right, dist))
-    Calibration(K_A, K_B, T_RIGHT_LEFT, WH, dist, dist).save(folder / "calib.yaml")
+    opencv.write(folder / "calib.yaml", Calibration(K_A, K_B, T_RIGHT_LEFT, WH, dist, dist))
     return folder
 
 
@@ -83,59 +84,17 @@ def test_folder_has_no_true_pose_unless_it_is_trusted(tmp_path: Path) -> None:
     np.testing.assert_allclose(pair.T_right_left_nominal, T_RIGHT_LEFT, atol=1e-12)
 
 
-def test_calibration_survives_its_file(tmp_path: Path) -> None:
-    rig = Calibration(K_A, K_B, T_RIGHT_LEFT, WH, DIST, np.zeros(5))
-    rig.save(tmp_path / "rig.yaml")
-    loaded = Calibration.load(tmp_path / "rig.yaml")
-    assert loaded.wh == WH
-    for name in ("K_left", "K_right", "T_right_left", "dist_left", "dist_right"):
-        np.testing.assert_allclose(getattr(loaded, name), getattr(rig, name), atol=1e-15)
-
-
-def test_calibration_written_by_hand_needs_no_matrix_headers(tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_text(
-        "%YAML:1.0\n---\nK_left: [200, 0, 159.5, 0, 200, 89.5, 0, 0, 1]\n"
-        "K_right: [200., 0., 159.5, 0., 200., 89.5, 0., 0., 1.]\n"
-        "R: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nT: [-0.5, 0, 0]\nimage_width: 320\nimage_height: 180\n"
-    )
-    rig = Calibration.load(tmp_path / "rig.yaml")
-    assert rig.wh == WH
-    assert rig.K_left[0, 2] == 159.5
-    assert rig.T_right_left[0, 3] == -0.5
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("%YAML:1.0\n---\nK_left: [1]\n", "no entry K_right, R, T, image_width, image_height"),
-        ("K_left = 3", "not OpenCV YAML|no entry"),
-        (None, "no such calibration"),
-    ],
-)
-def test_bad_calibration_says_what_is_wrong(tmp_path: Path, text: str | None, message: str) -> None:
-    if text is not None:
-        (tmp_path / "rig.yaml").write_text(text)
-    with pytest.raises(UserError, match=message):
-        Calibration.load(tmp_path / "rig.yaml")
-
-
-def test_calibration_whose_rotation_is_none_is_refused(tmp_path: Path) -> None:
-    skewed = T_RIGHT_LEFT.copy()
-    skewed[0, 1] += 0.1
-    Calibration(K_A, K_B, skewed, WH).save(tmp_path / "rig.yaml")
-    with pytest.raises(UserError, match=r"(?s)rig.yaml: R:.*is no rotation"):
-        Calibration.load(tmp_path / "rig.yaml")
-
-
 def test_folder_with_a_single_image_is_refused(tmp_path: Path) -> None:
     (_folder(tmp_path) / "right" / "b.png").unlink()
-    with pytest.raises(UserError, match=r"1 images stand in only one of left/ and right/, first b"):
+    with pytest.raises(
+        UserError, match=r"1 images stand in only one of .*left and .*right, first 'b'"
+    ):
         open_source(tmp_path)
 
 
 def test_images_of_another_size_than_the_calibration_are_refused(tmp_path: Path) -> None:
     _folder(tmp_path)
-    Calibration(K_A, K_B, T_RIGHT_LEFT, (640, 360)).save(tmp_path / "calib.yaml")
+    opencv.write(tmp_path / "calib.yaml", Calibration(K_A, K_B, T_RIGHT_LEFT, (640, 360)))
     with pytest.raises(UserError, match=r"a.png: an image of 320x180, .* is for 640x360"):
         open_source(tmp_path)[0]
 
