@@ -31,7 +31,7 @@ from simgen.schema import AT_INFINITY, GLASS, LABELS, OCCLUDED, OUT_OF_FRAME, VI
 NO_FACE = -1
 SAME_SURFACE_REL = 1e-4
 """Two hits along one ray are one surface if their inverse depths differ by less than this share."""
-_ROWS = 32
+_ROWS = 8
 """Rows per block: small enough for the cache of a core."""
 
 
@@ -110,16 +110,17 @@ def flow_status(scene: Scene, source: View, target: View) -> NDArray[np.uint8]:
     _over_rows(aim, h)
     hit = trace(scene, target.camera.centre, directions.reshape(3, -1)).reshape(h, w)
     status = np.empty((h, w), dtype=np.uint8)
-    glass = np.append(scene.faces.glass, False)
+    surface = np.append(np.uint8(GLASS) * scene.faces.glass, np.uint8(AT_INFINITY))
 
     def judge(rows: slice) -> None:
-        own, first = source.face[rows], hit[rows]
-        reached = _affine(target.face_coeffs, first, uv[0, rows], uv[1, rows])
-        no_nearer = reached <= own_inverse_depth[rows] * (1 + SAME_SURFACE_REL)
-        seen = (first == own) | (first == NO_FACE) | no_nearer  # the sky's inverse depth is 0
-        visibility = np.where(seen, VISIBLE, OCCLUDED)
-        surface = AT_INFINITY * (own == NO_FACE) + GLASS * glass[own]
-        status[rows] = np.where(in_frame[rows], visibility, OUT_OF_FRAME) + surface
+        own, first, inside = source.face[rows], hit[rows], in_frame[rows]
+        seen = (first == own) | (first == NO_FACE)
+        other = np.nonzero(inside & ~seen)
+        reached = _affine(target.face_coeffs, first[other], uv[0, rows][other], uv[1, rows][other])
+        seen[other] = reached <= own_inverse_depth[rows][other] * (1 + SAME_SURFACE_REL)
+        visibility = np.where(seen, np.uint8(VISIBLE), np.uint8(OCCLUDED))
+        status[rows] = np.where(inside, visibility, np.uint8(OUT_OF_FRAME))
+        status[rows] += np.take(surface, own, mode="wrap")
 
     _over_rows(judge, h)
     return status
