@@ -70,7 +70,7 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     half = surroundings.FAR_INNER_M
     # OpenCV and NumPy let other threads run: images are painted while objects are put in place.
     with ThreadPoolExecutor(max_workers=2) as pool:
-        surfaces = pool.submit(_sheets, spec)
+        surfaces = pool.submit(_sheets, spec, optics.focal_px)
         sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
         site = Site(drive.network)
         crossing = crossings.plan(site, spec)
@@ -129,17 +129,22 @@ _WALL_COLORS = {
 }
 
 
-def _sheets(spec: SceneSpec) -> dict[str, sheets.Sheet]:
-    """The scene's four walls, its roofs and its bark."""
+FINE_FROM_FOCAL_PX = 512.0
+"""Longer lenses see the 1.6 cm between a fine sheet's pixels from 8 m away."""
+
+
+def _sheets(spec: SceneSpec, focal_px: float) -> dict[str, sheets.Sheet]:
+    """The scene's four walls, its roofs and its bark, as fine as the images can show."""
     rng = spec.stream("sheets")
+    size_px = 2048 if focal_px >= FINE_FROM_FOCAL_PX else 1024
     kinds = ["brick", "plaster", *rng.choice(WALL_KINDS, 2)]
     colors = [_WALL_COLORS[k][rng.integers(len(_WALL_COLORS[k]))] for k in kinds]
     walls = {
-        f"wall_{i}": sheets.wall_sheet(k, c, rng=rng)
+        f"wall_{i}": sheets.wall_sheet(k, c, rng=rng, size_px=size_px)
         for i, (k, c) in enumerate(zip(kinds, colors, strict=True))
     }
     return {
         **walls,
-        "roof": sheets.roof_sheet(rng=rng),
+        "roof": sheets.roof_sheet(rng=rng, size_px=size_px),
         "bark": sheets.bark_sheet(rng=rng),
     }
