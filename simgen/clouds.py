@@ -77,6 +77,11 @@ def build(cover: float, light: Light, *, rng: np.random.Generator) -> Clouds:
     return Clouds(radiance, clear)
 
 
+def closed(cover: float) -> float:
+    """How far a cover is a closed layer: 1 from 0.95 up, 0 below 0.85."""
+    return float(np.clip((cover - 0.85) / 0.1, 0, 1))
+
+
 # --- shape ---------------------------------------------------------------------------------------
 
 
@@ -99,7 +104,7 @@ class _Field:
 def _drawn_field(cover: float, towards_sun: Array, *, rng: np.random.Generator) -> _Field:
     lumps = _lumps(rng)
     patches = 0.75 * rng.standard_normal((64, 64), dtype=np.float32)
-    solid = float(np.clip((cover - 0.85) / 0.1, 0, 1))
+    solid = closed(cover)
     mixed = lumps[::16, ::16] + cv2.resize(patches, (64, 64), interpolation=cv2.INTER_CUBIC)
     level = np.quantile(mixed, 1 - np.clip(cover, 0.0, 1.0)) - 1.2 * solid
     both = np.dstack([lumps, _towards_sun(lumps, towards_sun)])

@@ -12,6 +12,7 @@ import numpy as np
 
 from simgen import atmosphere, clouds
 from simgen.atmosphere import SUNSET_DEG, sun_direction
+from simgen.color import luminance
 from simgen.geometry import Array
 from simgen.recipe import SkySpec
 from simgen.skymap import (
@@ -68,11 +69,16 @@ def _at_horizon(dome: Image) -> Image:
 
 
 def _light_on_clouds(sky: SkySpec, clear: Image) -> clouds.Light:
+    """What clouds send on: broken ones the colour of the sun, a closed layer that of the light on
+    level ground, which a low sun has little part in."""
     up = sky.sun_elevation_deg + CLOUDS_SEE_SUN_DEG
     seen = np.clip((up + 1.0) / 3.0, 0, 1) ** 2
-    lifted = max(up, 0.0)
-    sun = atmosphere.direction(lifted, sky.sun_azimuth_deg)
-    return clouds.Light(sun, atmosphere.sun_klx(sky) * seen, illuminance(clear) / np.pi)
+    sun = atmosphere.direction(max(up, 0.0), sky.sun_azimuth_deg)
+    sun_klx = atmosphere.sun_klx(sky) * seen
+    on_level = illuminance(clear) + sun_klx * float(sun[2])
+    mixed = on_level * (luminance(sun_klx) / luminance(on_level))
+    sun_klx += clouds.closed(sky.cloud_cover) * (mixed - sun_klx)
+    return clouds.Light(sun, sun_klx, illuminance(clear) / np.pi)
 
 
 def _under_fog(dome: Image, sun_on_level: Array, sky: SkySpec) -> Image:
