@@ -5,6 +5,7 @@ PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
 export MPLBACKEND := Agg
+IN_PARALLEL := -n auto --dist loadfile
 
 .PHONY: help demo test test-slow test-scalar lint bench clean
 help:
@@ -33,13 +34,13 @@ demo: $(READY)
 	@echo "Look at:  demo/report.html   and   demo/frame-0.png"
 
 test: $(READY)
-	$(PY) -m pytest -q -m "not slow"
+	$(PY) -m pytest -q -m "not slow" $(IN_PARALLEL)
 
 test-slow: $(READY)
 	$(PY) -m pytest -q -m slow -s
 
 test-scalar: $(READY)
-	SIMGEN_TEST_VARIANT=scalar_rgb $(PY) -m pytest -q -m "not slow"
+	SIMGEN_TEST_VARIANT=scalar_rgb $(PY) -m pytest -q -m "not slow" $(IN_PARALLEL)
 
 lint: $(READY)
 	$(PY) -m ruff check .
