@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 # Tensors of tests are tiny: threads would only wait for each other, 10 times as long.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+
 @pytest.fixture(scope="session")
 def mitsuba_active() -> None:
     """Loads Mitsuba once, in the variant that SIMGEN_TEST_VARIANT names, else the fastest."""
