@@ -53,15 +53,10 @@ def _compile_all_kernels(out: Path) -> None:
     """By day and night, dry and wet: a worker that compiles a kernel keeps 50 MiB more for good,
     one that finds it on disk does not."""
     for daylight, weather in product(("noon", "night"), ("clear", "rain")):
-        where = [
-            "--daylight",
-            daylight,
-            "--weather",
-            weather,
-            "--out",
-            str(out / daylight / weather),
-        ]
-        subprocess.run([*RENDER, "--n", "6", *where], check=True)
+        sky = ["--daylight", daylight, "--weather", weather]
+        subprocess.run(
+            [*RENDER, "--n", "6", *sky, "--out", f"{out}-{daylight}-{weather}"], check=True
+        )
 
 
 def _frames(path: Path) -> list[dict[str, Any]]:
