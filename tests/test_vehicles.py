@@ -84,7 +84,8 @@ def test_every_part_has_the_label_of_its_kind(vehicle: Vehicle) -> None:
     assert {p.semantic for p in vehicle.model} == EXPECTED_LABELS[vehicle.family]
 
 
-@pytest.mark.parametrize("family", sorted(FAMILIES.keys() - {"motorcycle"}))  # it leans on its stand
+# A motorcycle leans on its stand.
+@pytest.mark.parametrize("family", sorted(FAMILIES.keys() - {"motorcycle"}))
 def test_painted_surfaces_are_symmetric(family: str) -> None:
     model = build(family, rng=np.random.default_rng(3)).model
     paint = np.concatenate([p.vertices for p in model if p.material == "paint"])
