@@ -29,7 +29,7 @@ def worst(record_property: Callable[[str, object], None]) -> Callable[..., None]
         errors = np.asarray(errors, dtype=np.float64)
         assert errors.size, f"{name}: nothing was compared"
         value = float(np.abs(errors).max())
-        record_property(name, (value, limit, unit))
+        record_property(name, (value, float(limit), unit))
         assert value <= limit, f"{name}: worst error {value:.3g} {unit}, allowed {limit:g}"
 
     return check
