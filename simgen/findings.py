@@ -68,7 +68,7 @@ CHECKS: dict[str, Check] = {
                             np.mean, 100),
     "instance": Check("visible pixels whose instance is not at the end point", 0.03, "",
                       np.mean, 100),
-    "semantic": Check("visible pixels whose label is not at the end point", 0.02, "",
+    "semantic": Check("visible pixels whose label is not at the end point", 0.01, "",
                       np.mean, 100),
     "photometric_shift": Check("shift between the images after warping by the flow", 0.05, "px"),
     "photometric_offset": Check("offset of both images against depth and flow", 0.2, "px"),

@@ -30,7 +30,7 @@ Bools = NDArray[np.bool_]
 
 FLOAT32_PX = 4096.0  # beyond this, float32 cannot hold flow to 1e-3 px: errors count relative
 SAME_SURFACE = 0.02  # inverse depths closer than this fraction belong to one surface
-RESOLVED = 3  # neighbours, of 8, on a pixel's own surface: fewer, and it is thinner than a pixel
+RESOLVED = 2  # directions, of 4, along which a pixel's surface goes on to both sides
 NEARER = 1.001  # ratio of inverse depths from which something lies in front
 AFFINE = 1e-3  # second difference, over inverse depth, up to which a patch is one plane
 SAMPLE_PIXELS = 60_000  # per direction, when a check is not thorough
@@ -202,11 +202,15 @@ def _patch(depth: NDArray[np.float32], end: Array, near: Indices) -> _Patch:
     return _Patch(w, _is_plane(w), w_end, slope)
 
 
+def _bends(w: Array) -> Array:
+    """Second differences (4, …) of patches (3, 3, …) along rows, columns and diagonals."""
+    opposite = ((w[1, 0], w[1, 2]), (w[0, 1], w[2, 1]), (w[0, 0], w[2, 2]), (w[0, 2], w[2, 0]))
+    return np.stack([np.abs(one + other - 2 * w[1, 1]) for one, other in opposite])
+
+
 def _is_plane(w: Array) -> Bools:
     """Whether patches (3, 3, …) of inverse depth are affine."""
-    opposite = ((w[1, 0], w[1, 2]), (w[0, 1], w[2, 1]), (w[0, 0], w[2, 2]), (w[0, 2], w[2, 0]))
-    bend = np.max([np.abs(one + other - 2 * w[1, 1]) for one, other in opposite], axis=0)
-    return np.asarray(bend <= AFFINE * w[1, 1])
+    return np.asarray(_bends(w).max(axis=0) <= AFFINE * w[1, 1])
 
 
 def _compare_patches(
@@ -239,9 +243,9 @@ def _compare_patches(
 
 
 def _is_resolved(depth: NDArray[np.float32], i: Indices, j: Indices) -> Bools:
-    """Whether pixels (i, j) belong to a surface that covers some pixels around them."""
+    """Whether pixels (i, j) belong to a surface that covers pixels around them, however slanted."""
     w = _inverse(depth.ravel()[_neighbours(np.stack([j, i], axis=-1), depth.shape)])
-    return np.asarray(_is_close(w, w[1, 1]).sum(axis=(0, 1)) > RESOLVED)
+    return np.asarray((_bends(w) <= SAME_SURFACE * w[1, 1]).sum(axis=0) >= RESOLVED)
 
 
 def _is_close(w: Array, w_expected: Array) -> Bools:
