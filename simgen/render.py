@@ -163,8 +163,10 @@ def load_sensor(camera: Camera, sampler: str = "independent") -> Any:
     )  # fmt: skip
 
 
-# The same sampler and seed give the same camera rays, so that passes of one integrator each see the
-# same samples. Nested in one "aov" integrator, they took twice the time (tests hold them equal).
+# In wavefronts, the same sampler and seed give the same camera rays, so that passes of one
+# integrator each see the same samples. Nested in one "aov" integrator, they took twice the time
+# (tests hold them equal). Scalar variants draw a pixel's samples one after the other: there, passes
+# would part.
 _PATHS = {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": RR_DEPTH, "hide_emitters": True}
 _ALBEDO = {"type": "aov", "aovs": "albedo:albedo"}
 _SURFACE = {"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"}
@@ -173,10 +175,19 @@ _DISTANCE = {"type": "depth"}
 
 def _trace_paths(scene: Scene, camera: Camera, spp: int, seed: int) -> tuple[Image, Image]:
     """Radiance of the surfaces in view (H, W, 3), and the albedo (H, W, 3) of the same samples."""
-    sensor = load_sensor(camera)
-    paths = _rendered(scene, _PATHS, sensor, spp, seed)
-    albedo = _rendered(scene, _ALBEDO, sensor, spp, seed)
+    paths, albedo = _paths_and_albedo(scene, load_sensor(camera), spp, seed)
     return paths[..., :3], np.maximum(_lifted(albedo, paths[..., 3]), 1e-4)
+
+
+def _paths_and_albedo(scene: Scene, sensor: Any, spp: int, seed: int) -> tuple[Image, Image]:
+    """RGBA and albedo (H, W, 4), (H, W, 3) of the same samples."""
+    if str(mi.variant()).startswith("scalar"):
+        both = _rendered(scene, {**_ALBEDO, "paths": _PATHS}, sensor, spp, seed)
+        return both[..., :4], both[..., 4:]
+    return (
+        _rendered(scene, _PATHS, sensor, spp, seed),
+        _rendered(scene, _ALBEDO, sensor, spp, seed),
+    )
 
 
 def _trace_features(scene: Scene, camera: Camera, seed: int) -> Features:

@@ -125,8 +125,7 @@ def test_passes_of_one_seed_see_the_same_samples(cam):
     scene, sensor = scene_of([patch]), load_sensor(cam)
     nested = {"type": "aov", "aovs": "albedo:albedo", "paths": renderer._PATHS}
     both = renderer._rendered(scene, nested, sensor, 2, 7)
-    paths = renderer._rendered(scene, renderer._PATHS, sensor, 2, 7)
-    albedo = renderer._rendered(scene, renderer._ALBEDO, sensor, 2, 7)
+    paths, albedo = renderer._paths_and_albedo(scene, sensor, 2, 7)
     assert albedo.max() > 0.5
     np.testing.assert_array_equal(both, np.concatenate([paths, albedo], axis=-1))
 
