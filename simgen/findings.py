@@ -17,9 +17,7 @@ from simgen.photometric import Estimate
 
 BORDER_PX = 1e-3  # end points this close to the border may be called in or out of frame
 
-# Standard errors between an estimate and its limit that decide. The full set has 15,444 estimates:
-# with 3 above the limit, dozens would fail by chance.
-BELOW, ABOVE = 3, 4
+DECISIVE = 3  # standard errors between an estimate and its limit that decide
 
 
 def _p99(values: NDArray[np.float64]) -> float:
@@ -115,9 +113,8 @@ def not_applicable(name: str, where: str, why: str) -> Finding:
 
 
 def judge_estimate(name: str, estimate: Estimate, where: str, limit: float) -> Finding:
-    """Judges the components that are below or above the limit by enough standard errors."""
-    margin = np.abs(estimate.uv) - limit
-    decided = (margin <= -BELOW * estimate.std_error) | (margin >= ABOVE * estimate.std_error)
+    """Judges the components that are above or below the limit by ``DECISIVE`` standard errors."""
+    decided = np.abs(np.abs(estimate.uv) - limit) >= DECISIVE * estimate.std_error
     if decided.any():
         length = np.linalg.norm(estimate.uv[decided])
         finding = judge(name, length, where, str(estimate), limit=limit)
