@@ -18,12 +18,13 @@ from pathlib import Path
 
 import drjit as dr
 import numpy as np
+import psutil
 import tyro
 
 from simgen import engine
 from simgen.checks import check_frame
 from simgen.config import RenderOptions, resolve
-from simgen.produce import make_frame
+from simgen.produce import make_frame, start
 from simgen.store import write_frame
 
 TRACED = ("path", "features", "denoise")
@@ -49,17 +50,17 @@ class Options:
 def main(options: Options) -> None:
     """Renders the frames and prints the table."""
     chosen = engine.choose()
-    engine.activate(chosen)
     job = resolve(
         RenderOptions(n=1, size=options.size, recipes=options.recipes, seed=options.seed,
                       spp=options.spp, weather=options.weather, daylight=options.daylight),
         chosen.variant,
     )  # fmt: skip
+    start(chosen, psutil.cpu_count(), job.wh)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for index in range(options.frames):
-            start = time.perf_counter()
+            began = time.perf_counter()
             frame, seconds = make_frame(job, index, attempt=0)
             pairs = np.array(job.rig.pairs, dtype=np.uint8)
             lap = time.perf_counter()
@@ -68,7 +69,7 @@ def main(options: Options) -> None:
             lap = time.perf_counter()
             write_frame(Path(folder) / "f.h5", frame, pairs=job.rig.pairs, compression="gzip")
             seconds["write"] = time.perf_counter() - lap
-            seconds["total"] = time.perf_counter() - start
+            seconds["total"] = time.perf_counter() - began
             seconds["other than tracing"] = seconds["total"] - sum(seconds[k] for k in TRACED)
             seconds["kernels compiled"] = _num_compiled()
             print(f"frame {index}: {frame['spec']['recipe']}, {seconds['total']:.1f} s", flush=True)

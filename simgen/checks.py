@@ -7,6 +7,7 @@ their images in ``photometric``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -47,16 +48,30 @@ def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding
     if not all(f.passed for f in findings):
         return findings
     findings += [*_check_poses(arrays), _check_sky(arrays)]
-    for p, (left, right) in enumerate(pairs.tolist()):
-        flow = arrays["flow"][p] if "flow" in arrays else None
-        forward = _direction(arrays, left, right, arrays["flow_status"][p], flow)
-        backward = _direction(arrays, right, left, arrays["flow_status_reverse"][p], None)
-        for d in (forward, backward):
-            findings += _check_status(d) + _check_geometry(d, thorough=thorough)
-        if flow is None:
-            findings += [not_applicable(n, forward.where, "no flow stored") for n in NEED_FLOW]
-        if thorough:
-            findings += _check_images(forward, arrays["spec"])
+
+    def of_pair(p: int) -> list[Finding]:
+        return _check_pair(arrays, p, *pairs[p].tolist(), thorough=thorough)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        return findings + [f for found in pool.map(of_pair, range(len(pairs))) for f in found]
+
+
+def _check_pair(
+    arrays: Arrays, p: int, left: int, right: int, *, thorough: bool
+) -> list[Finding]:
+    """Both directions of one pair."""
+    flow = arrays["flow"][p] if "flow" in arrays else None
+    forward = _direction(arrays, left, right, arrays["flow_status"][p], flow)
+    backward = _direction(arrays, right, left, arrays["flow_status_reverse"][p], None)
+    findings = [
+        finding
+        for d in (forward, backward)
+        for finding in _check_status(d) + _check_geometry(d, thorough=thorough)
+    ]
+    if flow is None:
+        findings += [not_applicable(n, forward.where, "no flow stored") for n in NEED_FLOW]
+    if thorough:
+        findings += _check_images(forward, arrays["spec"])
     return findings
 
 

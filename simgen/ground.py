@@ -33,9 +33,9 @@ from simgen.schema import LABELS
 from simgen.site import Site, rings
 from simgen.wetness import FILM_FROM, Water, darkening, roughness, settle
 
-NUM_BANDS = 6
+NUM_BANDS = 8
 """The last one is everything that is left: behind, beside, and far away."""
-BAND_RATIO = 2.6
+BAND_RATIO = 2.0
 MAX_TEXELS = 3072
 REST_HALF_M = 420.0
 

@@ -76,8 +76,8 @@ def render(options: RenderOptions) -> int:
         manifest = folder.open_manifest(job.content(), options.frames_per_shard, options.n)
         given_map.keep(job.opendrive, options.out)
         threads = max(1, (os.cpu_count() or 1) // options.workers)
-        pool = run.Pool(_render_one(), _start_worker(), (chosen, threads), options.workers,
-                        options.recycle)  # fmt: skip
+        pool = run.Pool(_render_one(), _start_worker(), (chosen, threads, job.wh),
+                        options.workers, options.recycle)  # fmt: skip
         with _Display(console, len(job.rig.pairs)) as display:
             manifest = run.render_set(
                 job, set_plan, folder, manifest, pool, attributes=_attributes(job),

@@ -18,10 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simgen import lens, tone
+from simgen.mesh import blocks
 from simgen.metering import Exposure
 
 Image = NDArray[Any]
 """float32"""
+
+_ROWS = 16
+"""of an image, worked on while they are in the cache"""
 
 
 def develop(radiance: Image, exposure: Exposure, *, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -32,8 +36,10 @@ def develop(radiance: Image, exposure: Exposure, *, rng: np.random.Generator) ->
     if exposure.demosaic_px > 0:
         for plane in exposed:
             plane[:] = lens.blurred(plane, exposure.demosaic_px)
-    graded = tone.balanced(exposed, exposure.white_balance, exposure.saturation)
-    encoded = tone.encoded(tone.shown(graded, exposure.contrast))
+    for rows in blocks(exposed.shape[1], _ROWS):
+        strip = tone.balanced(exposed[:, rows], exposure.white_balance, exposure.saturation)
+        exposed[:, rows] = tone.encoded(tone.shown(strip, exposure.contrast))
+    encoded = exposed
     if exposure.sharpening > 0:
         tone.sharpen(encoded, exposure.sharpening, exposure.sharpening_px)
     return tone.rounded(encoded)
@@ -53,9 +59,11 @@ def _exposed(radiance: Image, exposure: Exposure) -> Image:
 
 def _add_noise(exposed: Image, exposure: Exposure, *, rng: np.random.Generator) -> None:
     """Gaussian approximation of shot noise (variance = electrons), and read noise, in place."""
+    read_variance = np.float32((exposure.read_noise / exposure.electrons) ** 2)
     for plane in exposed:
-        variance = np.maximum(plane, 0) / np.float32(exposure.electrons)
-        variance += np.float32((exposure.read_noise / exposure.electrons) ** 2)
-        noise = rng.standard_normal(plane.shape, dtype=np.float32)
-        noise *= np.sqrt(variance, out=variance)
-        plane += noise
+        for rows in blocks(len(plane), _ROWS):
+            variance = np.maximum(plane[rows], 0) / np.float32(exposure.electrons)
+            variance += read_variance
+            noise = rng.standard_normal(variance.shape, dtype=np.float32)
+            noise *= np.sqrt(variance, out=variance)
+            plane[rows] += noise

@@ -71,6 +71,11 @@ def bark_sheet(*, rng: np.random.Generator, size_px: int = 512, metres: float = 
     return canvas.sheet(bark, shade, [(lichen, (128, 132, 105)), (0.85 * depth, 0.35 * bark)])
 
 
+def blank_sheet(*, size_px: int = 64, metres: float = 32.0) -> Sheet:
+    """Middle grey, for a surface that a scene does not have."""
+    return Sheet(np.full((size_px, size_px, 3), 128, np.uint8), metres)
+
+
 def filtered(sheet: Sheet, factor: int) -> Sheet:
     """The same sheet with ``factor`` times larger pixels: block means of *light*, not of bytes."""
     size = len(sheet.image)

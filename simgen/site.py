@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
 
@@ -23,10 +24,12 @@ class Site:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.asphalt = covered(network.surfaces["road"])
-        self.pavement = covered(network.surfaces["sidewalk"])
+        with ThreadPoolExecutor(max_workers=2) as pool:  # Shapely lets other threads run
+            asphalt = pool.submit(covered, network.surfaces["road"])
+            pavement = pool.submit(covered, network.surfaces["sidewalk"])
+            self._height = _Heights(list(network.surfaces.values()))
+            self.asphalt, self.pavement = asphalt.result(), pavement.result()
         self.built = _built(network)
-        self._height = _Heights(list(network.surfaces.values()))
         self._discs: defaultdict[tuple[int, int], list[tuple[float, float, float]]]
         self._discs = defaultdict(list)
         for area in (self.asphalt, self.pavement, self.built):

@@ -31,9 +31,10 @@ from simgen.errors import UserError
 from simgen.schema import FIELDS, PER_PIXEL
 from simgen.shards import ShardEntry, load_zstd, write_atomically
 
-GZIP_LEVEL = 2
-"""Of zlib-ng: a full-size frame gets the size of zlib's level 1 in two thirds of its time. ISA-L
-took an eighth, but what it wrote depended on what it had compressed before."""
+GZIP_LEVELS = {"u": 2, "f": 1}
+"""Of zlib-ng, for integers and floats: level 2 makes images a fifth smaller, but depth and flow
+only a tenth, and would take half as long again. ISA-L took an eighth of the time, but what it
+wrote depended on what it had compressed before."""
 ZSTD_LEVEL = 3
 
 Arrays = Mapping[str, Any]
@@ -76,10 +77,12 @@ def write_frame(
     The file is built in memory: where the disk is full, HDF5 itself ends the process.
     """
     _check_layout(frame, len(pairs))
-    digest = content_sha256(frame)
     layout = _layout(frame)
-    with h5py.File(path, "w", driver="core", backing_store=False, libver="v110") as file:
-        file.attrs["content_sha256"] = digest
+    with (
+        ThreadPoolExecutor(max_workers=1) as pool,
+        h5py.File(path, "w", driver="core", backing_store=False, libver="v110") as file,
+    ):
+        content = pool.submit(content_sha256, frame)
         _create_datasets(file, layout, 1, pairs, compression)
         for name in layout:
             value = frame[name]
@@ -87,10 +90,11 @@ def write_frame(
                 _write_images(file[name], np.asarray(value), compression)
             else:
                 file[name][0] = _canonical_json(value) if name == "spec" else value
+        file.attrs["content_sha256"] = content.result()
         file.flush()
         image = file.id.get_file_image()
     write_atomically(path, image)
-    return digest
+    return content.result()
 
 
 def _check_layout(frame: Arrays, num_pairs: int) -> None:
@@ -131,14 +135,15 @@ def _create_datasets(
             file.create_dataset(name, (num_frames,), dtype=h5py.string_dtype("utf-8"))
         elif name in PER_PIXEL:
             file.create_dataset(name, (num_frames, *shape), dtype, chunks=(1, 1, *shape[1:]),
-                                **_filters(compression))  # fmt: skip
+                                **_filters(compression, dtype))  # fmt: skip
         else:
             file.create_dataset(name, (num_frames, *shape), dtype)
 
 
-def _filters(compression: str) -> dict[str, Any]:
+def _filters(compression: str, dtype: str) -> dict[str, Any]:
     if compression == "gzip":
-        return {"shuffle": True, "compression": "gzip", "compression_opts": GZIP_LEVEL}
+        level = GZIP_LEVELS[np.dtype(dtype).kind]
+        return {"shuffle": True, "compression": "gzip", "compression_opts": level}
     if compression == "zstd":
         plugin = load_zstd("--compression zstd")
         return {"shuffle": True, **plugin.Zstd(clevel=ZSTD_LEVEL)}
@@ -159,7 +164,7 @@ def _write_images(dataset: h5py.Dataset, images: NDArray[Any], compression: str)
 def _deflated(image: NDArray[Any]) -> bytes:
     """HDF5's shuffle filter (byte planes) and deflate."""
     planes = np.ascontiguousarray(image).reshape(-1).view(np.uint8).reshape(-1, image.itemsize)
-    return zlib_ng.compress(np.ascontiguousarray(planes.T).data, GZIP_LEVEL)
+    return zlib_ng.compress(np.ascontiguousarray(planes.T).data, GZIP_LEVELS[image.dtype.kind])
 
 
 def _publish(temporary: Path, path: Path) -> None:

@@ -7,6 +7,7 @@ are linear, middle grey at ``MIDDLE_GREY``; "shown" ones are what a display shou
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -60,7 +61,7 @@ def shown(exposed: Image, contrast: float) -> Image:
 
     Source: Adobe's DNG SDK, RefBaselineRGBTone.
     """
-    curve = tone_curve(np.linspace(0, 1, _STEPS + 1) ** 2 * WHITE, contrast).astype(np.float32)
+    curve = _curve(contrast)
     x = np.clip(exposed, 0, np.float32(WHITE))
     high, low = (of(of(x[0], x[1]), x[2]) for of in (cv2.max, cv2.min))
     top, bottom = (_look_up(curve, np.sqrt(y / np.float32(WHITE))) for y in (high, low))
@@ -68,6 +69,14 @@ def shown(exposed: Image, contrast: float) -> Image:
     x *= (top - bottom) / np.maximum(high - low, np.float32(1e-9))
     x += bottom
     return x
+
+
+@lru_cache(maxsize=2)
+def _curve(contrast: float) -> Image:
+    """The tone curve over the square root of what is exposed, WHITE = 1; read-only."""
+    curve = tone_curve(np.linspace(0, 1, _STEPS + 1) ** 2 * WHITE, contrast).astype(np.float32)
+    curve.flags.writeable = False
+    return curve
 
 
 def encoded(x: Image) -> Image:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
@@ -29,6 +29,7 @@ from simgen import (
 )
 from simgen.geometry import Array, rotation_from_vector, transform
 from simgen.layout import Layout, Mover, Placed
+from simgen.materials import MATERIALS
 from simgen.mesh import Part
 from simgen.recipe import SceneSpec
 from simgen.roads import Network, at_station, points_at, stations
@@ -70,7 +71,6 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
     half = surroundings.FAR_INNER_M
     # OpenCV and NumPy let other threads run: images are painted while objects are put in place.
     with ThreadPoolExecutor(max_workers=2) as pool:
-        surfaces = pool.submit(_sheets, spec, optics.focal_px)
         sky = pool.submit(daylight.environment, spec.sky, rng=spec.stream("clouds"))
         site = Site(drive.network)
         crossing = crossings.plan(site, spec)
@@ -84,9 +84,9 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         rig_xy = drive.T_world_vehicle[:2, 3]
         layout = Layout(site, spec, rig_xy, atlas.rects, float(zoom), crossing)
         parts, movers = _place(layout)
+        surfaces = _sheets(spec, {p.material for p in parts}, optics.focal_px, pool)
         lamps = night.lamps(layout, drive.T_world_vehicle) if daylight.is_night(spec.sky) else []
-        return World(parts, maps.result(), surfaces.result(), atlas.image, sky.result(), lamps,
-                     movers)  # fmt: skip
+        return World(parts, maps.result(), surfaces, atlas.image, sky.result(), lamps, movers)
 
 
 _STEPS: tuple[Callable[[Layout], Placed], ...] = (
@@ -133,18 +133,28 @@ FINE_FROM_FOCAL_PX = 512.0
 """Longer lenses see the 1.6 cm between a fine sheet's pixels from 8 m away."""
 
 
-def _sheets(spec: SceneSpec, focal_px: float) -> dict[str, sheets.Sheet]:
-    """The scene's four walls, its roofs and its bark, as fine as the images can show."""
-    rng = spec.stream("sheets")
+def _sheets(
+    spec: SceneSpec, materials: set[str], focal_px: float, pool: Executor
+) -> dict[str, sheets.Sheet]:
+    """The scene's four walls, its roofs and its bark, as fine as the images can show.
+
+    Those that are not among the ``materials`` in use stay blank.
+    """
     size_px = 2048 if focal_px >= FINE_FROM_FOCAL_PX else 1024
+    rng = spec.stream("walls")
     kinds = ["brick", "plaster", *rng.choice(WALL_KINDS, 2)]
     colors = [_WALL_COLORS[k][rng.integers(len(_WALL_COLORS[k]))] for k in kinds]
-    walls = {
-        f"wall_{i}": sheets.wall_sheet(k, c, rng=rng, size_px=size_px)
-        for i, (k, c) in enumerate(zip(kinds, colors, strict=True))
-    }
-    return {
-        **walls,
-        "roof": sheets.roof_sheet(rng=rng, size_px=size_px),
-        "bark": sheets.bark_sheet(rng=rng),
-    }
+
+    def draw(name: str) -> sheets.Sheet:
+        rng = spec.stream(f"sheet {name}")
+        if name not in materials:
+            return sheets.blank_sheet()
+        if name == "roof":
+            return sheets.roof_sheet(rng=rng, size_px=size_px)
+        if name == "bark":
+            return sheets.bark_sheet(rng=rng)
+        number = int(name.removeprefix("wall_"))
+        return sheets.wall_sheet(kinds[number], colors[number], rng=rng, size_px=size_px)
+
+    names = [name for name, material in MATERIALS.items() if material.color_by == "metres"]
+    return dict(zip(names, pool.map(draw, names), strict=True))
