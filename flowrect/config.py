@@ -100,35 +100,25 @@ class LossWeights:
 
 
 @dataclass(frozen=True)
-class TrainOptions:
-    """Trains the network on a set of pairs.
-
-    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
-    """
+class LoopOptions:
+    """What every training needs to know, whatever the network."""
 
     data: Path
     """a set of simgen (its train frames), or another layout that flowrect.sources knows"""
     out: Path = Path("runs/flowrect")
     """folder of the run: checkpoint, best and last weights, metrics.jsonl, TensorBoard"""
-    preset: PresetName = "paper"
-    """paper on a GPU, small on a CPU if not given"""
     init: str = ""
     """weights to start from: a name or a file; random if not given"""
-    model: ModelConfig = PAPER
     loading: Loading = field(default_factory=lambda: Loading(batch=16))
     """batch: pairs per backward pass, over all processes"""
     augmentation: Augmentation = field(default_factory=Augmentation)
+    truth_points: int = 2048
+    """about how many exact correspondences a pair of a rendered set carries"""
     fit: Literal["crop", "stretch"] = "crop"
     """crop to the aspect of the input, or squeeze the image as the paper's release does"""
     keep: float = 0.0
     """share of the window's sides that is kept; 0: the largest that no drawn turn of a camera
     leaves partly empty, see flowrect.turn"""
-    loss: LossWeights = field(default_factory=LossWeights)
-    teacher: Literal["exact", "none"] = "exact"
-    """where vertical flow comes from: depth and poses, or nowhere (the paper's "w/o OF")"""
-    translation: Literal["gt", "nominal"] = "gt"
-    """t of the prior and of DRectify. gt as in the paper, though it leaks the right camera's yaw
-    and roll; nominal is what a user has"""
     epochs: int = 100
     """passes over the data; the paper says 80 to 140"""
     max_steps: int = 0
@@ -153,8 +143,53 @@ class TrainOptions:
     val_every: int = 500
     """steps between validations; each one also writes a checkpoint"""
     overfit: int = 0
-    """self-check: train on this many pairs as they stand, and validate on the same. 4 of them
-    should come below 0.02 degrees"""
+    """self-check: train on this many pairs as they stand, and validate on the same"""
+
+
+@dataclass(frozen=True)
+class TrainOptions(LoopOptions):
+    """Trains the network on a set of pairs.
+
+    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    ``--overfit 4`` should come below 0.02 degrees.
+    """
+
+    preset: PresetName = "paper"
+    """paper on a GPU, small on a CPU if not given"""
+    model: ModelConfig = PAPER
+    loss: LossWeights = field(default_factory=LossWeights)
+    teacher: Literal["exact", "raft", "none"] = "exact"
+    """where vertical flow comes from: depth and poses; a frozen flow network, which needs neither
+    (the paper's own way); or nowhere (the paper's "w/o OF")"""
+    flow_weights: str = "raft"
+    """of the teacher raft: a name or file of flowrect.train_flow, a file of torchvision's, or
+    "torchvision" to let it fetch its own"""
+    teacher_device: str = ""
+    """where the teacher runs, such as cuda:1; beside the network if not given"""
+    translation: Literal["gt", "nominal"] = "gt"
+    """t of the prior and of DRectify. gt as in the paper, though it leaks the right camera's yaw
+    and roll; nominal is what a user has"""
+
+
+@dataclass(frozen=True)
+class FlowOptions(LoopOptions):
+    """Trains RAFT (small) on the exact flow of rendered pairs, perturbed and rectified.
+
+    Its weights are the teacher of ``flowrect.train --teacher raft``, and measure vertical flow
+    where there is no depth. The same command again resumes where the last one stopped.
+    """
+
+    out: Path = Path("runs/raft")
+    loading: Loading = field(default_factory=lambda: Loading(batch=4))
+    truth_points: int = 8192
+    lr: float = 4e-4
+    warmup_steps: int = 100
+    updates: int = 12
+    """refinements of the flow, each of which is supervised"""
+    rectified: float = 0.5
+    """share of the batches that are rectified, by a pose which is wrong by up to ``error_deg``"""
+    error_deg: float = 1.0
+    """of that pose, each component of its rotation vector within ± this"""
 
 
 TRAINING: dict[str, TrainOptions] = {

@@ -56,9 +56,7 @@ def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding
         return findings + [f for found in pool.map(of_pair, range(len(pairs))) for f in found]
 
 
-def _check_pair(
-    arrays: Arrays, p: int, left: int, right: int, *, thorough: bool
-) -> list[Finding]:
+def _check_pair(arrays: Arrays, p: int, left: int, right: int, *, thorough: bool) -> list[Finding]:
     """Both directions of one pair."""
     flow = arrays["flow"][p] if "flow" in arrays else None
     forward = _direction(arrays, left, right, arrays["flow_status"][p], flow)

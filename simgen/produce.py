@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
 import platform
 import time
 from collections.abc import Iterator
@@ -357,6 +358,7 @@ def versions() -> dict[str, str]:
 
 def start(engine: Engine, threads: int, wh: tuple[int, int]) -> None:
     """Loads Mitsuba in a worker process that will render images of size ``wh``."""
+    os.environ["RUST_BACKTRACE"] = "0"  # of roadgen's panics: 50 MiB of symbols, kept for good
     _keep_memory_flat(largest_kept=max(SMALL_BLOCK, 4 * wh[0] * wh[1]))
     activate(engine, threads)
     cv2.setNumThreads(threads)

@@ -16,7 +16,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file
 from tiny_network import TINY, TINY_PAPER, road_set, training
 
-from flowrect import checkpoint, train
+from flowrect import checkpoint, loop, train
 from flowrect.config import MODELS, TRAINING, LossWeights
 from flowrect.runlog import keep_lines_until
 from flowrect.weights import load_weights
@@ -47,14 +47,14 @@ def assert_same_tensors(a: Path, b: Path) -> None:
 
 def interrupt_after(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C arrives during the step after ``steps``."""
-    learning_rate = train.learning_rate
+    learning_rate = loop.learning_rate
 
     def interrupting(step: int, *rest: object) -> float:
         if step == steps:
             os.kill(os.getpid(), signal.SIGINT)
         return learning_rate(step, *rest)
 
-    monkeypatch.setattr(train, "learning_rate", interrupting)
+    monkeypatch.setattr(loop, "learning_rate", interrupting)
 
 
 @pytest.mark.parametrize("model", [TINY, TINY_PAPER], ids=["small", "paper"])
@@ -73,7 +73,7 @@ def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(
     assert_same_tensors(whole.out / "last.safetensors", parts.out / "last.safetensors")
     validated_at_the_break = {"step": 3, "validation": rows(parts.out)[3]["validation"]}
     assert [r for r in rows(parts.out) if r != validated_at_the_break] == rows(whole.out)
-    a, b = (torch.load(o.out / train.CHECKPOINT, weights_only=True) for o in (whole, parts))
+    a, b = (torch.load(o.out / loop.CHECKPOINT, weights_only=True) for o in (whole, parts))
     assert torch.equal(a["random"]["cpu"], b["random"]["cpu"])
     for x, y in zip(
         a["optimiser"]["state"].values(), b["optimiser"]["state"].values(), strict=True
@@ -141,7 +141,7 @@ def test_a_loss_that_is_not_finite_stops_and_leaves_the_batch(data, tmp_path, mo
 
 def test_minutes_end_a_run_with_a_checkpoint(data, tmp_path):
     train.train(training(data, tmp_path, minutes=1e-6, max_steps=1000))
-    assert checkpoint.load(tmp_path / train.CHECKPOINT, train.plain(
+    assert checkpoint.load(tmp_path / loop.CHECKPOINT, loop.plain(
         training(data, tmp_path, max_steps=1000, keep=_kept(tmp_path))))["step"] == 1  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_other_options_do_not_resume(data, tmp_path):
 
 
 def test_a_damaged_checkpoint_is_refused(data, tmp_path):
-    (tmp_path / train.CHECKPOINT).write_bytes(b"PK not one")
+    (tmp_path / loop.CHECKPOINT).write_bytes(b"PK not one")
     with pytest.raises(UserError, match=r"is no checkpoint of flowrect\.train"):
         train.train(training(data, tmp_path))
 
@@ -195,9 +195,9 @@ def test_lines_after_the_checkpoint_are_dropped(tmp_path):
 
 def test_the_rate_decays_exponentially_after_its_warm_up():
     options = replace(TRAINING["small"], lr=1.0, lr_final=0.01, warmup_steps=4)
-    assert train.learning_rate(0, 100, options) == pytest.approx(0.25)
-    assert train.learning_rate(50, 100, options) == pytest.approx(0.1)
-    assert train.learning_rate(100, 100, options) == pytest.approx(0.01)
+    assert loop.learning_rate(0, 100, options) == pytest.approx(0.25)
+    assert loop.learning_rate(50, 100, options) == pytest.approx(0.1)
+    assert loop.learning_rate(100, 100, options) == pytest.approx(0.01)
 
 
 def test_each_preset_trains_its_own_network():

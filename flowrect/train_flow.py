@@ -1,0 +1,161 @@
+"""Trains RAFT on exact flow: ``python -m flowrect.train_flow --data shards/``.
+
+A teacher of vertical flow meets unrectified pairs and pairs that were rectified by a wrong pose, so
+both are trained on, at 512×256, where the losses and metrics live. Truth are the exact
+correspondences of a pair, which lie between pixels: the predicted flow is interpolated there.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+import tyro
+from torch import Tensor
+from torch.nn import functional as F
+
+from flowrect import loop
+from flowrect.config import FlowOptions
+from flowrect.correspondences import Correspondences
+from flowrect.drectify import rectify, warp
+from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, save_flow
+from flowrect.geometry import inside, project, rotation_from_vector
+from flowrect.loading import PairLoader
+from flowrect.metrics import METRIC_WH
+from flowrect.sample import Batch
+from simgen.errors import UserError
+
+DECAY = 0.8
+"""weight of each refinement over the next one's. Source: RAFT (Teed and Deng, 2020), Eq. 7"""
+
+
+def rectified_wrongly(batch: Batch, error_deg: float, *, rng: torch.Generator) -> Batch:
+    """The pairs rectified by a pose whose rotation is wrong; images at ``METRIC_WH``.
+
+    Each component of the error's rotation vector is uniform within ± ``error_deg``.
+    """
+    assert batch.R is not None, "checked by FlowTask.require"
+    assert batch.t is not None, "checked by FlowTask.require"
+    assert batch.truth is not None, "checked by FlowTask.require"
+    unit = 2 * torch.rand(len(batch), 3, generator=rng, dtype=torch.float64) - 1
+    error = rotation_from_vector(torch.deg2rad(error_deg * unit).to(batch.R.device))
+    K_left, K_right = batch.K_left_metric, batch.K_right_metric
+    rect = rectify(error @ batch.R, batch.t, K_left, K_right, METRIC_WH)
+    left, _ = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
+    right, _ = warp(batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH)
+    turned = batch.truth.rotated(left=rect.R_left, right=rect.R_right)
+    values = {**vars(batch), "left_metric": left, "right_metric": right, "truth": turned,
+              "K_left_metric": rect.K_new, "K_right_metric": rect.K_new}  # fmt: skip
+    return Batch(**values)
+
+
+def flow_at(flow: Tensor, uv: Tensor) -> Tensor:
+    """Flow (B, N, 2) of (B, 2, H, W), interpolated bilinearly at uv (B, N, 2) [px]."""
+    size = uv.new_tensor([flow.shape[-1], flow.shape[-2]])
+    grid = ((2 * uv + 1) / size - 1).to(flow.dtype)[:, None]
+    sampled = F.grid_sample(flow, grid, padding_mode="border", align_corners=False)
+    return sampled[:, :, 0].mT
+
+
+def exact_flow(
+    truth: Correspondences, K_left: Tensor, K_right: Tensor, wh: tuple[int, int]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Left ends (B, N, 2) [px], their flow (B, N, 2) [px], and where it counts (B, N).
+
+    It counts where the point is seen by both cameras and lies in both images.
+    """
+    uv_left, uv_right = project(K_left, truth.rays_left), project(K_right, truth.rays_right)
+    counted = truth.visible & inside(uv_left, wh) & inside(uv_right, wh)
+    return uv_left, uv_right - uv_left, counted
+
+
+def flow_errors(predicted: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+    """(du, dv) errors (B, N, 2) [px] of a predicted flow, and where they count (B, N)."""
+    assert batch.truth is not None, "checked by FlowTask.require"
+    uv, flow, counted = exact_flow(
+        batch.truth, batch.K_left_metric, batch.K_right_metric, METRIC_WH
+    )
+    error = flow_at(predicted, uv) - flow
+    return torch.where(counted[..., None], error, 0.0), counted
+
+
+class FlowTask:
+    """RAFT and its loss, as ``flowrect.loop`` trains them."""
+
+    score = "end_point_px"
+
+    def __init__(self, options: FlowOptions) -> None:
+        self.options = options
+        self.input_wh = METRIC_WH
+        network = load_flow(options.init).requires_grad_(True) if options.init else FlowNetwork()
+        self.model: FlowNetwork = network.train()
+
+    def require(self, batch: Batch) -> None:
+        """Raises where there is no exact flow."""
+        if batch.R is None or batch.truth is None:
+            raise UserError(
+                f"{self.options.data}: {batch.names[0]} has no depth, so there is no exact flow to "
+                "train on; expected a set that simgen rendered."
+            )
+
+    def terms(self, network: torch.nn.Module, batch: Batch) -> dict[str, Tensor]:
+        """Mean error of each refinement [px], the later the heavier."""
+        if torch.rand(()) < self.options.rectified:
+            batch = rectified_wrongly(batch, self.options.error_deg, rng=torch.default_generator)
+        updates = self.options.updates
+        flows = network(batch.left_metric, batch.right_metric, updates)
+        total = batch.left_metric.new_zeros((), dtype=torch.float64)
+        for k, flow in enumerate(flows):
+            error, counted = flow_errors(flow, batch)
+            mean = error.abs().sum(-1).sum() / counted.sum().clamp(min=1)
+            total = total + DECAY ** (updates - 1 - k) * mean
+        return {"flow": total}
+
+    @torch.inference_mode()
+    def validate(self, loader: PairLoader) -> dict[str, float]:
+        """Mean end-point error and median |vertical error| [px], perturbed and rectified pairs."""
+        device = next(self.model.parameters()).device
+        rng = torch.Generator().manual_seed(0)
+        errors: dict[str, list[Tensor]] = {"": [], "rectified_": []}
+        self.model.eval()
+        for batch in loader:
+            batch = batch.to(device)
+            wrong = rectified_wrongly(batch, self.options.error_deg, rng=rng)
+            for kind, pairs in (("", batch), ("rectified_", wrong)):
+                flow = self.model.flow(pairs.left_metric, pairs.right_metric)
+                error, counted = flow_errors(flow, pairs)
+                errors[kind].append(error[counted])
+        self.model.train()
+        scores = {}
+        for kind, parts in errors.items():
+            error = torch.cat(parts)
+            scores[f"{kind}end_point_px"] = error.norm(dim=-1).mean().item()
+            scores[f"{kind}vertical_median_px"] = error[:, 1].abs().median().item()
+        return scores
+
+    def save(self, path: Path, seen: loop.Seen) -> None:
+        """Writes the weights with their card."""
+        save_flow(path, self.model, FlowCard(seen.samples, str(self.options.data.name)))
+
+
+def train_flow(options: FlowOptions) -> dict[str, float]:
+    """Trains until the epochs, steps or minutes are over; returns the last validation."""
+    return loop.train(lambda: FlowTask(options), options)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; 2 if the user has to mend something."""
+    options = tyro.cli(FlowOptions, args=arguments, prog="flowrect.train_flow")
+    try:
+        scores = train_flow(options)
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(", ".join(f"{name} {value:.3f}" for name, value in scores.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
