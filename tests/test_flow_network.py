@@ -1,0 +1,218 @@
+"""RAFT: what it is taught is exact, it learns, it teaches without learning, files are safe."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from tiny_network import network, road_set, training
+
+from flowrect import train, train_flow
+from flowrect.augment import Augmentation
+from flowrect.config import FlowOptions, LossWeights
+from flowrect.drectify import rectify
+from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, read_card, save_flow
+from flowrect.loading import Loading, PairLoader
+from flowrect.metrics import METRIC_WH, exact_vertical_flow
+from flowrect.resize import Sizing
+from flowrect.sample import Batch
+from flowrect.sources import open_source
+from simgen.errors import UserError
+from simgen.flowfield import flow_from_depth
+from simgen.shards import ShardSet
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return road_set(tmp_path_factory.mktemp("set"))
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    save_flow(path, FlowNetwork(), FlowCard(samples=3, data="noise"))
+    return path
+
+
+def batch_of(data: Path, augmentation: Augmentation | None, num: int = 2) -> Batch:
+    loading = Loading(batch=num, workers=0, shuffle=False)
+    pairs = open_source(data, split="train", truth_points=None)
+    return next(iter(PairLoader(pairs, Sizing(METRIC_WH, keep=0.85), augmentation, loading)))
+
+
+def affine_field(wh: tuple[int, int]) -> torch.Tensor:
+    """(1, 2, H, W): du = 2 + u/10 − v/20, dv = −1 + v/5."""
+    v, u = torch.meshgrid(torch.arange(wh[1]), torch.arange(wh[0]), indexing="ij")
+    return torch.stack([2 + u / 10 - v / 20, -1 + v / 5])[None].float()
+
+
+def test_interpolation_is_exact_on_an_affine_field():
+    uv = 3 + torch.rand(1, 50, 2, dtype=torch.float64) * 20
+    found = train_flow.flow_at(affine_field((32, 28)), uv)
+    u, v = uv.unbind(-1)
+    expected = torch.stack([2 + u / 10 - v / 20, -1 + v / 5], -1)
+    torch.testing.assert_close(found.double(), expected, rtol=0, atol=1e-5)
+
+
+def test_exact_flow_is_the_stored_flow(data):
+    """Two routes to one number: rays of the truth, and the flow that a shard holds."""
+    pair = open_source(data, split="train", truth_points=None)[0]
+    frame = ShardSet(data, split="train")[0]
+    truth, K = pair.truth.to("cpu"), torch.from_numpy(pair.K_left)
+    uv, flow, counted = train_flow.exact_flow(
+        truth, K, torch.from_numpy(pair.K_right), pair.wh
+    )  # fmt: skip
+    depth, stored_K = frame.read("depth"), frame.read("K")
+    T = frame.read("T_world_cam")
+    stored = flow_from_depth(
+        depth[0], stored_K[0], stored_K[1], np.linalg.inv(T[1]) @ T[0]
+    ).reshape(-1, 2)  # fmt: skip
+    assert counted.sum() > 1000
+    error = np.abs(flow.numpy() - stored)[counted.numpy()]
+    assert error.max() < 1e-4
+
+
+def test_a_right_pose_leaves_no_vertical_flow_and_a_wrong_one_does(data):
+    batch = batch_of(data, Augmentation())
+    rng = torch.Generator().manual_seed(0)
+    for error_deg, low, high in ((0.0, 0.0, 1e-6), (1.0, 0.5, 12.0)):
+        wrong = train_flow.rectified_wrongly(batch, error_deg, rng=rng)
+        _, flow, counted = train_flow.exact_flow(
+            wrong.truth, wrong.K_left_metric, wrong.K_right_metric, METRIC_WH
+        )
+        vertical = flow[..., 1].abs()[counted].mean()
+        assert low <= vertical <= high
+
+
+def test_wrongly_rectified_truth_agrees_with_the_metric(data):
+    """The mean |dv| of its correspondences is what metrics.exact_vertical_flow says of the pose."""
+    batch = batch_of(data, None, num=1)
+    rng = torch.Generator().manual_seed(5)
+    wrong = train_flow.rectified_wrongly(batch, 1.0, rng=rng)
+    unit = 2 * torch.rand(1, 3, generator=rng.manual_seed(5), dtype=torch.float64) - 1
+    R = train_flow.rotation_from_vector(torch.deg2rad(unit)) @ batch.R
+    rect = rectify(R, batch.t, batch.K_left_metric, batch.K_right_metric, METRIC_WH)
+    truth = replace(wrong.truth, visible=torch.ones_like(wrong.truth.visible))
+    _, flow, counted = train_flow.exact_flow(
+        truth, wrong.K_left_metric, wrong.K_right_metric, METRIC_WH
+    )
+    mine = flow[..., 1].abs()[counted].mean()
+    torch.testing.assert_close(mine, exact_vertical_flow(rect, batch.truth)[0], rtol=0, atol=1e-9)
+
+
+def flow_options(data: Path, out: Path, **changes: object) -> FlowOptions:
+    options = FlowOptions(
+        data=data, out=out, loading=Loading(batch=1, workers=0), updates=2, max_steps=2,
+        val_pairs=1, val_every=9, warmup_steps=0,
+    )  # fmt: skip
+    return replace(options, **changes)
+
+
+def test_raft_learns_resumes_and_scores(data, tmp_path):
+    whole = flow_options(data, tmp_path / "whole")
+    scores = train_flow.train_flow(whole)
+    assert set(scores) == {
+        "end_point_px", "vertical_median_px", "rectified_end_point_px",
+        "rectified_vertical_median_px",
+    }  # fmt: skip
+    rows = [json.loads(x) for x in (whole.out / "metrics.jsonl").read_text().splitlines()]
+    assert all(np.isfinite(r["loss"]) for r in rows if "loss" in r)
+    card = read_card(whole.out / "last.safetensors")
+    assert (card.samples, card.data) == (2, data.name)
+    assert train_flow.train_flow(whole) == scores  # it was finished
+
+
+def test_a_step_towards_the_truth_lowers_the_error(data):
+    torch.manual_seed(0)
+    batch, raft = batch_of(data, None, num=1), FlowNetwork().train()
+    optimiser = torch.optim.Adam(raft.parameters(), lr=1e-3)
+
+    def error() -> torch.Tensor:
+        flow = raft(batch.left_metric, batch.right_metric, 2)[-1]
+        errors, counted = train_flow.flow_errors(flow, batch)
+        return errors.abs().sum() / counted.sum()
+
+    first = error()
+    for _ in range(4):
+        optimiser.zero_grad()
+        loss = error()
+        loss.backward()
+        optimiser.step()
+    assert error() < 0.9 * first
+
+
+def test_weights_come_back(weights):
+    raft = load_flow(str(weights))
+    assert not any(p.requires_grad for p in raft.parameters())
+    saved = load_file(weights)
+    assert all(torch.equal(x, saved[k]) for k, x in raft.raft.state_dict().items())
+
+
+def test_the_teacher_teaches_and_does_not_learn(data, tmp_path, weights):
+    """The paper's self-supervision: no pose, no depth, only the flow between rectified images."""
+    options = training(
+        data, tmp_path, teacher="raft", flow_weights=str(weights), max_steps=1,
+        loss=LossWeights(rotation=0, matching=0), loading=Loading(batch=1, workers=0),
+    )  # fmt: skip
+    train.train(options)
+    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
+    [row] = [r for r in map(json.loads, lines) if "loss" in r]
+    assert row["loss"] == row["flow"] > 0
+    fresh = network(options.model, seed=options.loading.seed).state_dict()
+    trained = load_file(tmp_path / "last.safetensors")
+    assert any(not torch.equal(fresh[k], trained[k]) for k in fresh)
+
+
+def test_gradients_reach_the_pose_through_teacher_and_warp(data, weights):
+    batch = batch_of(data, None, num=1)
+    options = training(data, Path(), teacher="raft", loss=LossWeights(rotation=0))
+    model = network(options.model).train()
+    prediction = train.predict(model, batch, options)
+    prediction.R.retain_grad()
+    terms = train.loss_terms(prediction, batch, options, load_flow(str(weights)))
+    terms["flow"].backward()
+    assert prediction.R.grad.abs().max() > 0
+
+
+def test_nothing_to_minimise_is_refused(data, tmp_path):
+    options = training(data, tmp_path, teacher="none", loss=LossWeights(rotation=0, matching=0))
+    with pytest.raises(UserError, match="nothing to minimise"):
+        train.train(options)
+
+
+def test_a_pickle_that_runs_code_is_refused(tmp_path):
+    path = tmp_path / "raft.pth"
+    torch.save({"x": print}, path)
+    with pytest.raises(UserError, match="which holds tensors only"):
+        load_flow(str(path))
+
+
+def test_other_weights_are_refused(tmp_path):
+    path = tmp_path / "other.safetensors"
+    save_file({"x": torch.zeros(1)}, path)
+    with pytest.raises(UserError, match="expected format 'flowrect-flow-1'"):
+        load_flow(str(path))
+    torch.save({"x": torch.zeros(1)}, tmp_path / "other.pth")
+    with pytest.raises(UserError, match="does not hold weights of raft_small"):
+        load_flow(str(tmp_path / "other.pth"))
+
+
+def test_absent_weights_say_where_to_get_some():
+    with pytest.raises(UserError, match=r"python -m flowrect\.train_flow"):
+        load_flow("nothing")
+
+
+def test_images_that_raft_cannot_match_are_refused():
+    with pytest.raises(UserError, match="images of 64x64 px cannot be matched"):
+        FlowNetwork().flow(torch.zeros(1, 3, 64, 64), torch.zeros(1, 3, 64, 64))
+
+
+def test_the_command_reports_an_absent_set(tmp_path, capsys):
+    assert train_flow.main(["--data", str(tmp_path / "no"), "--out", str(tmp_path / "run")]) == 2
+    assert "no such folder" in capsys.readouterr().err
