@@ -256,13 +256,14 @@ def _contains(ids: NDArray[Any], near: Indices, wanted: NDArray[Any]) -> Bools:
     return (ids.ravel()[near] == wanted).any(axis=(0, 1))
 
 
-def clean_matches(d: Direction) -> tuple[Array, Array, Array]:
+def clean_matches(d: Direction) -> tuple[Array, Array, Array, Array]:
     """Correspondences to compare the images by.
 
     Returns:
-      Visible pixels (N, 2) of the source, their end points (N, 2) and the slope (N, 2, 2) of the
-      flow, which its last axis takes along u and v. Both ends lie on one opaque surface, and
-      ``EDGE_PX`` away from depth edges, so that no silhouette reaches into the smoothed images.
+      Visible pixels (N, 2) of the source, their end points (N, 2), the slope (N, 2, 2) of the flow,
+      which its last axis takes along u and v, and by how much (N,) [m] the point is further from
+      the target's camera (0 at infinity). Both ends lie on one opaque surface, and ``EDGE_PX`` away
+      from depth edges, so that no silhouette reaches into the smoothed images.
     """
     hw, stride = d.status.shape, _stride(d.status.shape, PHOTOMETRIC_PIXELS)
     opaque = (d.status & (schema.VISIBLE | schema.GLASS)) == schema.VISIBLE
@@ -278,7 +279,15 @@ def clean_matches(d: Direction) -> tuple[Array, Array, Array]:
     near = _neighbours(end, hw)
     clean = _is_far_from_edges(d.target.depth).ravel()[near[1, 1]]
     clean &= _is_close(_patch(d.target.depth, end, near).w_end, w_end)
-    return uv[clean], end[clean], flow_slope[clean]
+    further = _distance(d.target.K, end[clean], w_end[clean])
+    further -= _distance(d.source.K, uv[clean], w[clean])
+    return uv[clean], end[clean], flow_slope[clean], further
+
+
+def _distance(K: Array, uv: Array, w: Array) -> Array:
+    """Distance (N,) [m] of points seen at ``uv`` with inverse depth ``w``; 0 at infinity."""
+    length = np.linalg.norm(_rays(K, uv), axis=0)
+    return np.divide(length, w, out=np.zeros_like(length), where=w > 0)
 
 
 def _is_far_from_edges(depth: NDArray[np.float32]) -> Bools:

@@ -65,7 +65,7 @@ def test_exact_flow_is_the_stored_flow(data):
     pair = open_source(data, split="train", truth_points=None)[0]
     frame = ShardSet(data, split="train")[0]
     truth, K = pair.truth.to("cpu"), torch.from_numpy(pair.K_left)
-    uv, flow, counted = train_flow.exact_flow(
+    _, flow, counted = train_flow.exact_flow(
         truth, K, torch.from_numpy(pair.K_right), pair.wh
     )  # fmt: skip
     depth, stored_K = frame.read("depth"), frame.read("K")

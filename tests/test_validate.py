@@ -265,6 +265,19 @@ def test_exposure_of_each_camera_is_free(pair: Frame) -> None:
     assert worst(pair)["photometric_shift"] < 0.01
 
 
+def test_haze_does_not_pass_for_a_shift(pair: Frame) -> None:
+    """Koschmieder at a visibility of 30 m, over faint texture: what shows is distance."""
+    for c in (0, 1):
+        hw = pair["depth"].shape[1:]
+        length = np.linalg.norm(rays_of(pair["K"][c], np.eye(4), pixels(hw)), axis=1).reshape(hw)
+        distance = np.where(pair["depth"][c] > 0, pair["depth"][c] * length, np.inf)
+        kept = np.exp(-3.912 / 30 * distance)[..., None]
+        faint = 60 + 0.2 * (pair["image"][c] - 128.0)
+        pair["image"][c] = np.rint(kept * faint + (1 - kept) * 240).astype(np.uint8)
+    (finding,) = [f for f in check(pair, thorough=True) if f.check == "photometric_shift"]
+    assert np.abs(finding.estimate.uv).max() < 0.02
+
+
 def test_flow_may_be_left_out(frame: Frame) -> None:
     del frame["flow"]
     findings = check(frame, thorough=False)
