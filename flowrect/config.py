@@ -184,6 +184,9 @@ class FlowOptions(LoopOptions):
     truth_points: int = 8192
     lr: float = 4e-4
     warmup_steps: int = 100
+    crop_wh: tuple[int, int] = (512, 256)
+    """training sees windows of this size, drawn anew each time, of the 512x256 images: multiples
+    of 8, at least 128. A quarter of the area takes a quarter of the time"""
     updates: int = 12
     """refinements of the flow, each of which is supervised"""
     rectified: float = 0.5

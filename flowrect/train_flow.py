@@ -20,7 +20,7 @@ from flowrect import loop
 from flowrect.config import FlowOptions
 from flowrect.correspondences import Correspondences
 from flowrect.drectify import rectify, warp
-from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, save_flow
+from flowrect.flow_network import MIN_SIDE, FlowCard, FlowNetwork, load_flow, save_flow
 from flowrect.geometry import inside, project, rotation_from_vector
 from flowrect.loading import PairLoader
 from flowrect.metrics import METRIC_WH
@@ -51,6 +51,22 @@ def rectified_wrongly(batch: Batch, error_deg: float, *, rng: torch.Generator) -
     return Batch(**values)
 
 
+def cropped(batch: Batch, wh: tuple[int, int], *, rng: torch.Generator) -> Batch:
+    """The same window, drawn anew, of all images at ``METRIC_WH``; K (B, 3, 3) follows."""
+    (w, h), (W, H) = wh, METRIC_WH
+    u, v = (int(torch.randint(n + 1, (), generator=rng)) for n in (W - w, H - h))
+    offset = torch.zeros(3, 3, dtype=torch.float64)
+    offset[:2, 2] = torch.tensor([u, v])
+    window = (..., slice(v, v + h), slice(u, u + w))
+    values = {
+        **vars(batch),
+        "left_metric": batch.left_metric[window], "right_metric": batch.right_metric[window],
+        "K_left_metric": batch.K_left_metric - offset.to(batch.K_left_metric),
+        "K_right_metric": batch.K_right_metric - offset.to(batch.K_right_metric),
+    }  # fmt: skip
+    return Batch(**values)
+
+
 def flow_at(flow: Tensor, uv: Tensor) -> Tensor:
     """Flow (B, N, 2) of (B, 2, H, W), interpolated bilinearly at uv (B, N, 2) [px]."""
     size = uv.new_tensor([flow.shape[-1], flow.shape[-2]])
@@ -74,9 +90,8 @@ def exact_flow(
 def flow_errors(predicted: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     """(du, dv) errors (B, N, 2) [px] of a predicted flow, and where they count (B, N)."""
     assert batch.truth is not None, "checked by FlowTask.require"
-    uv, flow, counted = exact_flow(
-        batch.truth, batch.K_left_metric, batch.K_right_metric, METRIC_WH
-    )
+    h, w = predicted.shape[-2:]
+    uv, flow, counted = exact_flow(batch.truth, batch.K_left_metric, batch.K_right_metric, (w, h))
     error = flow_at(predicted, uv) - flow
     return torch.where(counted[..., None], error, 0.0), counted
 
@@ -87,6 +102,13 @@ class FlowTask:
     score = "end_point_px"
 
     def __init__(self, options: FlowOptions) -> None:
+        if any(
+            c % 8 or not MIN_SIDE <= c <= m for c, m in zip(options.crop_wh, METRIC_WH, strict=True)
+        ):
+            raise UserError(
+                f"--crop-wh {options.crop_wh}: expected multiples of 8 from {MIN_SIDE} px to "
+                f"{METRIC_WH}."
+            )
         self.options = options
         self.input_wh = METRIC_WH
         network = load_flow(options.init).requires_grad_(True) if options.init else FlowNetwork()
@@ -102,8 +124,10 @@ class FlowTask:
 
     def terms(self, network: torch.nn.Module, batch: Batch) -> dict[str, Tensor]:
         """Mean error of each refinement [px], the later the heavier."""
+        rng = torch.default_generator
         if torch.rand(()) < self.options.rectified:
-            batch = rectified_wrongly(batch, self.options.error_deg, rng=torch.default_generator)
+            batch = rectified_wrongly(batch, self.options.error_deg, rng=rng)
+        batch = cropped(batch, self.options.crop_wh, rng=rng)
         updates = self.options.updates
         flows = network(batch.left_metric, batch.right_metric, updates)
         total = batch.left_metric.new_zeros((), dtype=torch.float64)

@@ -106,9 +106,30 @@ def test_wrongly_rectified_truth_agrees_with_the_metric(data):
     torch.testing.assert_close(mine, exact_vertical_flow(rect, batch.truth)[0], rtol=0, atol=1e-9)
 
 
+def test_a_crop_keeps_the_flow(data):
+    batch = batch_of(data, None, num=1)
+    small = train_flow.cropped(batch, (256, 128), rng=torch.Generator().manual_seed(1))
+    assert small.left_metric.shape[-2:] == (128, 256)
+    whole, part = (
+        train_flow.exact_flow(
+            b.truth, b.K_left_metric, b.K_right_metric, (b.left_metric.shape[-1],) * 2
+        )
+        for b in (batch, small)
+    )
+    torch.testing.assert_close(whole[1], part[1], rtol=0, atol=1e-9)
+    u, v = (whole[0] - part[0])[0, 0].round().long().tolist()
+    assert torch.equal(small.left_metric, batch.left_metric[..., v : v + 128, u : u + 256])
+
+
+def test_a_crop_that_raft_cannot_take_is_refused(data, tmp_path):
+    with pytest.raises(UserError, match=r"--crop-wh \(100, 128\): expected multiples of 8"):
+        train_flow.train_flow(flow_options(data, tmp_path, crop_wh=(100, 128)))
+
+
 def flow_options(data: Path, out: Path, **changes: object) -> FlowOptions:
     options = FlowOptions(
         data=data, out=out, loading=Loading(batch=1, workers=0), updates=2, max_steps=2,
+        crop_wh=(256, 128),
         val_pairs=1, val_every=9, warmup_steps=0,
     )  # fmt: skip
     return replace(options, **changes)

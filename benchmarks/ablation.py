@@ -1,0 +1,97 @@
+"""The paper's ablation: the same training with and without the flow loss, several seeds each.
+
+    python benchmarks/ablation.py --data train/ --test test/ [--steps 250] [--seeds 3] [--jobs 2]
+
+Both arms get the same data, steps and settings. Every run has a folder of its own under ``--out``;
+the same command again goes on where it stopped. The difference between the arms is a mean over
+seeds and pairs, its interval a bootstrap over scenes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import tyro
+from _table import markdown
+
+from flowrect.metrics import bootstrap_interval
+
+ARMS = {"with flow loss": "exact", "without": "none"}
+FIGURES = ("pitch [°]", "yaw [°]", "roll [°]", "geodesic [°]", "vertical flow [px]")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Trains and scores both arms."""
+
+    data: Path
+    """a set of simgen to train on"""
+    test: Path
+    """a set of simgen whose test frames are scored"""
+    out: Path = Path("runs/ablation")
+    steps: int = 250
+    batch: int = 4
+    seeds: int = 3
+    jobs: int = 2
+    """runs at a time, one thread each"""
+    translation: str = "gt"
+    """t at test time: gt or nominal"""
+
+
+def scored(options: Options, teacher: str, seed: int) -> list[dict]:
+    """Trains one network, unless that was done before; scores of every test pair."""
+    out = options.out / f"{teacher}-{seed}"
+    scores = out / f"test-{options.translation}.jsonl"
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    if not scores.exists():
+        train = ["flowrect.train", "--preset", "small", "--data", options.data, "--out", out,
+                 "--teacher", teacher, "--max-steps", options.steps, "--val-every", options.steps,
+                 "--val-pairs", 12, "--loading.batch", options.batch, "--loading.workers", 0,
+                 "--loading.seed", seed]  # fmt: skip
+        test = ["flowrect.evaluate", "--data", options.test, "--weights", out / "last.safetensors",
+                "--translation", options.translation, "--out", scores]  # fmt: skip
+        for command in (train, test):
+            subprocess.run([sys.executable, "-m", *map(str, command)], env=environment, check=True,
+                           stdout=subprocess.DEVNULL)  # fmt: skip
+    print(f"{teacher}, seed {seed}: done", flush=True)
+    return [json.loads(line) for line in scores.read_text().splitlines()]
+
+
+def main(options: Options) -> None:
+    """Runs what is missing, and prints the table."""
+    runs = list(product(ARMS.values(), range(options.seeds)))
+    with ThreadPoolExecutor(options.jobs) as pool:
+        records = dict(zip(runs, pool.map(lambda run: scored(options, *run), runs), strict=True))
+    scenes = np.array([r["scene"] for r in records[runs[0]]])
+    # (seeds, pairs, figures) of each arm
+    found = {
+        arm: np.array([[r["network"] for r in records[teacher, s]] for s in range(options.seeds)])
+        for arm, teacher in ARMS.items()
+    }
+    rows = [
+        [arm, *(f"{v.mean():.3f} ({v.mean(1).min():.3f} to {v.mean(1).max():.3f})"
+                for v in np.moveaxis(values, 2, 0))]
+        for arm, values in found.items()
+    ]  # fmt: skip
+    difference = (found["without"] - found["with flow loss"]).mean(0)
+    rng = np.random.default_rng(0)
+    cells = []
+    for values in difference.T:
+        low, high = bootstrap_interval(values, scenes, rng=rng)
+        cells.append(f"{values.mean():+.3f} [{low:+.3f}, {high:+.3f}]")
+    rows.append(["difference [95 %]", *cells])
+    budget = f"{options.steps} steps of {options.batch}, {options.seeds} seeds"
+    print(f"\n{len(scenes)} pairs, {budget}; mean (over seeds: smallest to largest)\n")
+    print(markdown(["", *FIGURES], rows))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
