@@ -16,7 +16,7 @@ from simgen import vegetation
 from simgen.crossings import REACH_M, Crossing, Kind
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed
-from simgen.mesh import Model, Part, loft, part, placed, quads_to_triangles
+from simgen.mesh import Model, Part, loft, part, placed, quads_to_triangles, smooth
 from simgen.schema import LABELS
 from simgen.solids import boxes, sheeted, upright
 from simgen.street_solids import (
@@ -176,13 +176,12 @@ def _bank(side: int, start: float, top: float, half: float, ground: Ground,
     out = side * (grid[..., 1] - start)
     crown = top - top * np.clip(out / reach, 0, 1) ** 1.5
     past = np.hypot(np.maximum(np.abs(grid[..., 0]) - half, 0), np.maximum(-out, 0))
-    rough = 0.09 * rng.standard_normal(out.shape) * (past > 0.5)
+    rough = 0.05 * rng.standard_normal(out.shape) * (past > 0.5)
     z = crown - past / SLOPE + rough
     land = ground(grid.reshape(-1, 2)).reshape(z.shape)
     kept = z > np.nan_to_num(land, nan=np.inf) - 0.7
     vertices = np.concatenate([grid, z[..., None]], axis=2)
-    color = _turf(out.shape, rng) * np.where(past < 0.1, 0.9, 1.0)[..., None]
-    sheet = _heightfield(vertices, kept, color, flipped=side < 0)
+    sheet = _turf(vertices, kept, flipped=side < 0)
     on_slope = np.flatnonzero((z > land + 0.2) & (past > 0.3))
     chosen = rng.choice(on_slope, min(len(on_slope), 1500), replace=False)
     spots = vertices.reshape(-1, 3)[chosen]
@@ -194,15 +193,8 @@ def _bank(side: int, start: float, top: float, half: float, ground: Ground,
     return [sheet, tufts, *bushes]
 
 
-def _turf(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Albedos (…, 3) of rough grass, dry in patches."""
-    fine = rng.uniform(0.7, 1.3, (*shape, 1))
-    dry = rng.beta(1.5, 4, (*shape, 1))
-    return fine * ((1 - dry) * np.array([0.06, 0.092, 0.026]) + dry * np.array([0.15, 0.13, 0.06]))
-
-
-def _heightfield(vertices: Array, kept: NDArray[np.bool_], color: Array, *, flipped: bool) -> Part:
-    """The cells of a grid of points (R, C, 3) that have a kept corner."""
+def _turf(vertices: Array, kept: NDArray[np.bool_], *, flipped: bool) -> Part:
+    """The cells of a grid of points (R, C, 3) that have a kept corner, as grass."""
     rows, columns = kept.shape
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (i * columns + j).ravel()
@@ -210,8 +202,8 @@ def _heightfield(vertices: Array, kept: NDArray[np.bool_], color: Array, *, flip
     quads = quads[kept.ravel()[quads].any(axis=1)]
     faces = quads_to_triangles(quads[:, ::-1] if flipped else quads)
     used, index = np.unique(faces, return_inverse=True)
-    return part(vertices.reshape(-1, 3)[used], index.reshape(-1, 3), "matte", TERRAIN,
-                color=color.reshape(-1, 3)[used])  # fmt: skip
+    points = vertices.reshape(-1, 3)[used]
+    return smooth(part(points, index.reshape(-1, 3), "turf", TERRAIN, uv=points[:, :2]))
 
 
 # --- a railway between walls ---------------------------------------------------------------------

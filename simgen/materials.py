@@ -34,6 +34,7 @@ MATERIALS: dict[str, Material] = {
     "wall_3": Material("metres"),
     "roof": Material("metres"),
     "bark": Material("metres"),
+    "turf": Material("metres", curved=True),  # rough grass on banks of earth
     "matte": Material("vertex", curved=True),
     "leaf": Material("vertex"),
     "paint": Material("vertex", "paint", curved=True),

@@ -25,7 +25,11 @@ LUMINAIRE, HEADLAMP, TAIL, SIGNAL = 12.0, 14.0, 1.6, 4.0
 WINDOW = (0.003, 0.03)
 """kcd/m² of lit rooms, log-uniform"""
 LIT_SHARE = 0.28
-_HEADLAMP_KCD = np.array([1.0, 0.94, 0.83]) * 3.1
+_HEADLAMP = np.array([1.0, 0.94, 0.83])
+_DIPPED = ((9.0, -0.03, 8.0, 1.5), (1.7, -0.1, 50.0, 12.0))
+"""(kcd, slope of the axis, cut-off [°], full within [°]) of a dipped beam: far down the lane, and
+wide in front. Source: UNECE R112 asks for 10.1 kcd at 75R, 0.6° below the horizon, and for 1.7 kcd
+at 25L and 25R, 9° to the sides."""
 _STREET_LAMP_KCD = 2.9
 
 
@@ -74,11 +78,11 @@ def _of_windows(p: Part, rng: np.random.Generator) -> NDArray[np.float32]:
 def lamps(layout: Layout, T_world_vehicle: Array) -> list[Lamp]:
     """The rig's own headlights, and street lamps, the nearest first."""
     T = T_world_vehicle
-    ahead = T[:3, :3] @ np.array([1.0, 0.0, -0.06])
     own = [
-        Lamp(T[:3, :3] @ np.array([0.4, y, 0.7]) + T[:3, 3], ahead, _HEADLAMP_KCD, 55.0, 12.0)
-        for y in (0.65, -0.65)
-    ]
+        Lamp(T[:3, :3] @ np.array([0.4, y, 0.7]) + T[:3, 3],
+             T[:3, :3] @ np.array([1.0, 0.0, slope]), _HEADLAMP * kcd, cutoff_deg, beam_deg)
+        for y in (0.65, -0.65) for kcd, slope, cutoff_deg, beam_deg in _DIPPED
+    ]  # fmt: skip
     if not layout.lights:
         return own
     heads = np.concatenate(layout.lights)

@@ -1,4 +1,4 @@
-"""Surface sheets: seeded images of walls, roofs and bark that repeat without a seam.
+"""Surface sheets: seeded images of walls, roofs, bark and turf that repeat without a seam.
 
 A sheet covers a square of ``metres`` × ``metres``. Pixel (i, j) holds u = (j + ½)/N · metres and
 v = (i + ½)/N · metres; on a wall v points up, on a roof up the slope, so row 0 is the *bottom*.
@@ -69,6 +69,19 @@ def bark_sheet(*, rng: np.random.Generator, size_px: int = 512, metres: float = 
     lichen = 0.6 * canvas.spots(0.35, share=0.15)
     bark = _bytes(rng.uniform((0.09, 0.065, 0.045), (0.17, 0.14, 0.11)))
     return canvas.sheet(bark, shade, [(lichen, (128, 132, 105)), (0.85 * depth, 0.35 * bark)])
+
+
+def turf_sheet(*, rng: np.random.Generator, size_px: int = 2048, metres: float = 32.0) -> Sheet:
+    """Draws rough grass as it lies on a slope: tufts, dry and bare patches."""
+    canvas = _Canvas(size_px, metres, rng)
+    tufts = canvas.noise((0.35, 0.6), octaves=4)
+    shade = 1 + 0.16 * tufts + 0.3 * canvas.grain() + 0.1 * canvas.noise(6.0)
+    dry = 0.7 * canvas.spots(5.0, share=0.45, sharpness=0.7)
+    straw = 0.6 * canvas.spots((0.4, 0.9), share=0.25, sharpness=0.8)
+    bare = 0.8 * canvas.spots((1.2, 0.8), share=0.06)
+    grass, hay, soil = (_bytes(c) for c in ((0.055, 0.085, 0.024), (0.15, 0.135, 0.06),
+                                            (0.12, 0.088, 0.058)))  # fmt: skip
+    return canvas.sheet(grass, shade, [(dry, 0.5 * (grass + hay)), (straw, hay), (bare, soil)])
 
 
 def blank_sheet(*, size_px: int = 64, metres: float = 32.0) -> Sheet:

@@ -136,7 +136,7 @@ FINE_FROM_FOCAL_PX = 512.0
 def _sheets(
     spec: SceneSpec, materials: set[str], focal_px: float, pool: Executor
 ) -> dict[str, sheets.Sheet]:
-    """The scene's four walls, its roofs and its bark, as fine as the images can show.
+    """The scene's four walls, its roofs, bark and turf, as fine as the images can show.
 
     Those that are not among the ``materials`` in use stay blank.
     """
@@ -153,6 +153,8 @@ def _sheets(
             return sheets.roof_sheet(rng=rng, size_px=size_px)
         if name == "bark":
             return sheets.bark_sheet(rng=rng)
+        if name == "turf":
+            return sheets.turf_sheet(rng=rng, size_px=size_px)
         number = int(name.removeprefix("wall_"))
         return sheets.wall_sheet(kinds[number], colors[number], rng=rng, size_px=size_px)
 

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from simgen.color import linear_from_srgb, luminance
-from simgen.sheets import WALLS, Sheet, _enlarged, bark_sheet, filtered, roof_sheet, wall_sheet
+from simgen.sheets import (
+    WALLS,
+    Sheet,
+    _enlarged,
+    bark_sheet,
+    filtered,
+    roof_sheet,
+    turf_sheet,
+    wall_sheet,
+)
 
 COLOR = (0.3, 0.2, 0.15)
 
@@ -15,10 +24,12 @@ def drawn(kind: str, seed: int = 0, size_px: int = 256, metres: float = 4.0) -> 
         return roof_sheet(rng=rng, size_px=size_px, metres=metres)
     if kind == "bark":
         return bark_sheet(rng=rng, size_px=size_px, metres=metres)
+    if kind == "turf":
+        return turf_sheet(rng=rng, size_px=size_px, metres=metres)
     return wall_sheet(kind, COLOR, rng=rng, size_px=size_px, metres=metres)
 
 
-ALL = pytest.mark.parametrize("kind", [*WALLS, "roof", "bark"])
+ALL = pytest.mark.parametrize("kind", [*WALLS, "roof", "bark", "turf"])
 
 
 @ALL
