@@ -198,11 +198,12 @@ def _march(
 def _march_rows(
     wrapped: Image, raised: Image, base: Image, per_km: Image, reach: Image
 ) -> tuple[Image, Image, Image]:
-    """The same for an even number of rows, before it is smoothed."""
+    """The same for some rows, the first of which is a multiple of 4, before it is smoothed."""
     through = np.ones_like(raised)
     sunlit, diffuse = np.zeros_like(raised), np.zeros_like(raised)
     dense = np.minimum(np.float32(22.0 * TOP_KM / STEPS) * reach, 20.0)
-    first = np.tile(_FIRST, (reach.shape[0] // 2 + 1, reach.shape[1] // 2))[: reach.shape[0]]
+    h, w = reach.shape
+    first = np.tile(_FIRST, (-(-h // 4), -(-w // 4)))[:h, :w]
     step = np.float32(TOP_KM / STEPS)
     for k in range(STEPS):
         z = (first + np.float32(k)) * step
@@ -217,8 +218,11 @@ def _march_rows(
     return through, sunlit, diffuse
 
 
-_FIRST = np.array([[0.0, 0.5], [0.75, 0.25]], dtype=np.float32)
-"""where neighbouring rays take their first step: together they see four times as many levels"""
+_FIRST = np.array(
+    [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], dtype=np.float32
+) / np.float32(16)  # fmt: skip
+"""Where neighbouring rays take their first step (Bayer's matrix): the mean over any 4×4 of them,
+which is what is kept, sees 16 times as many levels."""
 _SLOPE = np.float32(0.4 * TOP_KM)
 """km of height per unit of the field"""
 
