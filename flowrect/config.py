@@ -62,6 +62,9 @@ class ModelConfig:
     that what it learns does not depend on the prior. Equal for a prior without rotation"""
     correction_limit: float = 1.0
     """r_correction = limit * Tanh(...); 1 as in Eq. 8"""
+    passes: int = 1
+    """beyond the paper: how often a rotation is predicted outside training, each time with the last
+    one as R_init. Where the first pass was right the second sees rectified features"""
     zero_head: bool = True
     """start the linear layer at zero, so that training starts from the prior. The paper does not
     say; PyTorch's default start is several degrees off"""
@@ -82,6 +85,7 @@ SMALL = replace(
     decoder="displacement",
     head_hw=(4, 8),
     frame="rectified",
+    passes=2,
     correction_limit=0.1,  # 6 degrees; one step of Adam moves the output by a tenth as much
 )
 MODELS: dict[str, ModelConfig] = {"paper": PAPER, "small": SMALL}

@@ -41,7 +41,7 @@ MIN_FEATURES = 4  # feature pixels along each side
 
 @dataclass(frozen=True)
 class Prediction:
-    """What one pass gives."""
+    """What the network says, of the last pass if there are several."""
 
     R: Tensor
     """(B, 3, 3) float64, the predicted rotation of the pair"""
@@ -333,13 +333,22 @@ class Rectifier(nn.Module):
         """
         self._check_size(left)
         K_left, K_right, R_init, t_init = (x.double() for x in (K_left, K_right, R_init, t_init))
-        f = self.cnn(torch.cat([left, right]) - 0.5)  # a. features, then b. their enhancement
-        h, w = f.shape[-2:]
+        f = self.cnn(torch.cat([left, right]) - 0.5)  # a. features
         K_left, K_right = (resized(K, 1 / self.stride) for K in (K_left, K_right))
+        prediction = self._from_prior(f, K_left, K_right, R_init, t_init)
+        for _ in range(0 if self.training else self.config.passes - 1):
+            prediction = self._from_prior(f, K_left, K_right, prediction.R, t_init)
+        return prediction
+
+    def _from_prior(
+        self, f: Tensor, K_left: Tensor, K_right: Tensor, R_init: Tensor, t_init: Tensor
+    ) -> Prediction:
+        """b. and c. of features f (2B, c, h, w), the left views first, with K of their size."""
+        h, w = f.shape[-2:]
         rect = rectify(R_init, t_init, K_left, K_right, (w, h))
         f, seen = self._rectified_features(f, K_left, K_right, rect)
         f = f.flatten(2).mT
-        for block in self.transformer:
+        for block in self.transformer:  # b. their enhancement
             f = block(f, (h, w))
         F_left, F_right = self.norm(f).chunk(2)
         log_matches = log_match_distribution(F_left, F_right)  # c. correlation volume, decoder

@@ -87,6 +87,7 @@ def validate(network: Rectifier, loader: PairLoader, options: TrainOptions) -> d
     """Mean |angle| per axis and geodesic [°], and vertical flow [px], over the loader's pairs."""
     device = next(network.parameters()).device
     rows = []
+    network.eval()
     for batch in loader:
         batch = batch.to(device)
         R, t = predict(network, batch, options).R, prior_translation(batch, options)
@@ -96,6 +97,7 @@ def validate(network: Rectifier, loader: PairLoader, options: TrainOptions) -> d
             rect = rectify(R, t, batch.K_left_metric, batch.K_right_metric, METRIC_WH)
             columns.append(exact_vertical_flow(rect, batch.truth)[:, None])
         rows.append(torch.cat(columns, 1))
+    network.train()
     names = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg", "vertical_flow_px")
     return dict(zip(names, torch.cat(rows).mean(0).tolist(), strict=False))
 

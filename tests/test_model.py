@@ -230,3 +230,13 @@ def test_an_image_beyond_the_memory_limit_is_refused_with_its_cost():
 def test_an_image_too_small_for_features_is_refused():
     with pytest.raises(UserError, match=r"40x12 px are too small: expected at least 16 px"):
         predict(network(TINY), pairs(1, seed=17, wh=(40, 12)))
+
+
+def test_a_second_pass_starts_from_the_first_ones_rotation():
+    arguments = pairs(2, seed=3)
+    once, twice = (network(replace(TINY, passes=n)) for n in (1, 2))
+    first = predict(once, arguments)
+    second = predict(once, {**arguments, "R_init": first.R})
+    assert (second.R - first.R).abs().max() > 1e-6
+    torch.testing.assert_close(predict(twice, arguments).R, second.R, rtol=0, atol=1e-12)
+    torch.testing.assert_close(predict(twice.train(), arguments).R, first.R, rtol=0, atol=1e-12)
