@@ -60,7 +60,7 @@ def cached(
     words = json.loads((path / WORDS).read_text(encoding="utf-8"))
     layout = f"{pairs.layout}, {wh[0]}x{wh[1]} in {path}"
     return Pairs(range(len(pairs)), partial(_read, path, cameras, words), layout=layout,
-                 fingerprint=key)  # fmt: skip
+                 fingerprint=key, largest_turn_deg=pairs.largest_turn_deg)  # fmt: skip
 
 
 def _read(path: Path, cameras: dict[str, NDArray[Any]], words: list[Any], i: int) -> Pair:

@@ -15,8 +15,9 @@ import torch
 
 from simgen.errors import UserError
 
-BUDGET = frozenset({"out", "data", "minutes", "val_every", "val_pairs", "init", "preset"})
-"""options that may differ when a run goes on: they change when it ends, not what is computed"""
+BUDGET = frozenset({"out", "data", "minutes", "val_every", "init", "preset"})
+"""options that may differ when a run goes on: they change when it ends, not what is computed; that
+``data`` holds the same pairs is checked by their fingerprint"""
 
 
 def random_state() -> dict[str, Any]:
@@ -39,25 +40,32 @@ def save(path: Path, state: dict[str, Any]) -> None:
     os.replace(partial, path)
 
 
-def load(path: Path, options: dict[str, Any]) -> dict[str, Any]:
-    """Reads a checkpoint of a run with these options.
+def load(path: Path, options: dict[str, Any], fingerprint: str) -> dict[str, Any]:
+    """Reads a checkpoint of a run with these options on the pairs of this fingerprint.
 
     Raises:
       UserError: damaged, foreign, or of a run with other options.
     """
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        saved = state["options"]
+        saved, pairs = state["options"], state["fingerprint"]
     except (RuntimeError, pickle.UnpicklingError, EOFError, KeyError, TypeError) as error:
         raise UserError(
             f"{path} is no checkpoint of flowrect.train ({error}). Remove it to start anew; "
             "--init takes weights (.safetensors), not checkpoints."
         ) from error
+    saved, options = ({**o, "loading": {**o["loading"], "workers": 0}} for o in (saved, options))
     names = [n for n in saved if n not in BUDGET and saved[n] != options.get(n)]
     if names:
         changes = "; ".join(f"{n} was {saved[n]!r}, now {options.get(n)!r}" for n in names)
         raise UserError(
             f"{path} belongs to a run with other options: {changes}. Give the former ones to "
             "resume, or another --out to start anew (--init takes over its weights)."
+        )
+    if pairs != fingerprint:
+        raise UserError(
+            f"{path} belongs to a run on other pairs than those in {options['data']}: validation "
+            "pairs would have been trained on. Give the former set to resume, or another --out to "
+            "start anew (--init takes over its weights)."
         )
     return state

@@ -126,7 +126,7 @@ class LoopOptions:
     epochs: int = 100
     """passes over the data; the paper says 80 to 140"""
     max_steps: int = 0
-    """optimiser steps at most; 0: as many as the epochs have"""
+    """optimiser steps; 0: as many as the epochs have"""
     minutes: float = 0.0
     """stop, with a checkpoint, after this time; 0: no limit. The rate still follows the epochs"""
     lr: float = 1e-4
@@ -163,7 +163,7 @@ class TrainOptions(LoopOptions):
     model: ModelConfig = PAPER
     loss: LossWeights = field(default_factory=LossWeights)
     teacher: Literal["exact", "raft", "none"] = "exact"
-    """where vertical flow comes from: depth and poses; a frozen flow network, which needs neither
+    """where vertical flow comes from: depth and poses; a frozen flow network, which needs no depth
     (the paper's own way); or nowhere (the paper's "w/o OF")"""
     flow_weights: str = "raft"
     """of the teacher raft: a name or file of flowrect.train_flow, a file of torchvision's, or
@@ -190,7 +190,7 @@ class FlowOptions(LoopOptions):
     warmup_steps: int = 100
     crop_wh: tuple[int, int] = (512, 256)
     """training sees windows of this size, drawn anew each time, of the 512x256 images: multiples
-    of 8, at least 128. A quarter of the area takes a quarter of the time"""
+    of 8, at least 128. 256x128 takes a quarter of the time"""
     updates: int = 12
     """refinements of the flow, each of which is supervised"""
     rectified: float = 0.5

@@ -113,7 +113,8 @@ def load_model(name_or_path: str | Path) -> Calibrator:
 def _checked_pose(T: Array) -> Array:
     T = np.asarray(T, dtype=np.float64)
     good = T.shape == (4, 4) and np.allclose(T[3], [0, 0, 0, 1])
-    if not (good and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6)):
+    R = T[:3, :3] if good else np.zeros((3, 3))
+    if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0):
         raise UserError(f"prior is\n{T}\nexpected (4, 4) T_right_left: a rotation and t, 0 0 0 1.")
     if not np.abs(T[:2, 3]).any():
         raise UserError(f"prior has t = {T[:3, 3]}: cameras side by side differ in x or y.")

@@ -1,7 +1,7 @@
 """Optical flow by RAFT (small), torchvision's network: weights, images in 0…1, flow out.
 
 Used where there is no depth to take exact flow from: as the frozen teacher of the paper's
-self-supervision, and to measure vertical flow on real pairs. Torchvision's own weights can be
+self-supervision. Torchvision's own weights can be
 fetched where there is a network; ``flowrect.train_flow`` trains some where there is none.
 """
 
@@ -128,8 +128,10 @@ def _state_of_file(path: Path) -> dict[str, Tensor]:
         read_card(path)
         return load_file(path)
     try:
-        state: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
-        return state
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        if isinstance(state, dict):
+            return state
+        raise RuntimeError(f"it holds one {type(state).__name__}")
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
         raise UserError(
             f"{path}: expected .safetensors of flowrect.train_flow or torchvision's .pth, which "

@@ -77,6 +77,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
 
     ``make_task`` is called once the random numbers are seeded.
     """
+    _require_sensible(options)
     started = time.monotonic()
     accelerator = Accelerator(mixed_precision=options.precision)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -90,25 +91,30 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     network, optimiser = accelerator.prepare(
         model, torch.optim.Adam(model.parameters(), lr=options.lr)
     )
-    run = Run(options, accelerator, task, optimiser, loader)
+    run = Run(options, accelerator, task, optimiser, loader, pairs.fingerprint)
     run.resume()
     epoch_steps = max(1, len(loader) // options.accumulate)
     last_step = options.max_steps or options.epochs * epoch_steps
 
     with RunLog(options.out, run.step, last_step, active=accelerator.is_main_process) as log, \
          stop_on_interrupt() as interrupted:  # fmt: skip
+        summed: dict[str, Tensor] = {}
         for count, batch in enumerate(endless(loader, until=lambda: run.step >= last_step), 1):
             task.require(batch)
             batch = batch.to(accelerator.device)
             terms = task.terms(network, batch)
             total = torch.stack(list(terms.values())).sum()
-            stop_if_not_finite(total, batch, options.out)
+            stop_if_not_finite("loss", total, batch, options.out)
             accelerator.backward(total / options.accumulate)
             run.note_prior_range(batch)
+            share = {k: x.detach() / options.accumulate for k, x in terms.items()}
+            summed = {k: x + summed.get(k, 0.0) for k, x in share.items()}
             if count % options.accumulate:
                 continue
 
-            accelerator.clip_grad_norm_(network.parameters(), options.clip)
+            norm = accelerator.clip_grad_norm_(network.parameters(), options.clip)
+            if norm is not None and accelerator.scaler is None:  # a scaler skips such a step
+                stop_if_not_finite("gradient", norm, batch, options.out)
             lr = learning_rate(run.step, last_step, options)
             for group in optimiser.param_groups:
                 group["lr"] = lr
@@ -117,7 +123,8 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             run.step += 1
 
             late = options.minutes and time.monotonic() - started > 60 * options.minutes
-            means, stopping = over_processes(terms, bool(interrupted() or late), accelerator)
+            means, stopping = over_processes(summed, bool(interrupted() or late), accelerator)
+            summed = {}
             log.step(run.step, {**means, "lr": lr}, epoch_steps)
             if run.step % options.val_every and not stopping and run.step < last_step:
                 continue
@@ -139,6 +146,8 @@ class Run:
     task: Task
     optimiser: torch.optim.Optimizer
     loader: PairLoader
+    fingerprint: str
+    """of the pairs"""
     step: int = 0
     """optimiser steps done"""
     best: float = float("inf")
@@ -172,7 +181,7 @@ class Run:
         path = self.options.out / CHECKPOINT
         if not path.is_file():
             return
-        state = checkpoint.load(path, plain(self.options))
+        state = checkpoint.load(path, plain(self.options), self.fingerprint)
         self.task.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.loader.load_state_dict(state["loader"])
@@ -186,6 +195,7 @@ class Run:
         scaler = self.accelerator.scaler
         return {
             "options": plain(self.options),
+            "fingerprint": self.fingerprint,
             "model": self.task.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "loader": self.loader.state_dict(),
@@ -211,12 +221,24 @@ def open_pairs(options: LoopOptions) -> Pairs[Any]:
     return open_source(options.data, split=split, truth_points=options.truth_points)
 
 
+def _require_sensible(options: LoopOptions) -> None:
+    for name, value in (
+        ("--val-pairs", options.val_pairs),
+        ("--val-every", options.val_every),
+        ("--accumulate", options.accumulate),
+        ("--loading.batch", options.loading.batch),
+    ):
+        if value < 1:
+            raise UserError(f"{name} {value}: expected at least 1.")
+
+
 def largest_safe_keep(pairs: Pairs[Any], input_wh: tuple[int, int], options: LoopOptions) -> float:
     """Share of the window that stays filled when both the old and the new turn are at the limit."""
     if options.overfit or not options.augmentation.turn_deg:
         return 1.0
     sizing = Sizing(input_wh, options.fit)
-    return largest_keep(pairs[0], sizing, 2 * options.augmentation.turn_deg)
+    limit_deg = options.augmentation.turn_deg + pairs.largest_turn_deg
+    return largest_keep(pairs[0], sizing, limit_deg)
 
 
 def make_loaders(
@@ -276,15 +298,20 @@ def over_processes(
     return {"loss": sum(means), **dict(zip(terms, means, strict=True))}, stopping > 0
 
 
-def stop_if_not_finite(total: Tensor, batch: Batch, out: Path) -> None:
-    """Raises, with the batch on disk, if the loss is NaN or infinite."""
-    if torch.isfinite(total):
+def stop_if_not_finite(what: str, value: Tensor, batch: Batch, out: Path) -> None:
+    """Raises, with the batch and its truth on disk, if loss or gradient is NaN or infinite."""
+    if torch.isfinite(value):
         return
     path = out / "bad_batch.safetensors"
-    tensors = {k: v.cpu().contiguous() for k, v in vars(batch).items() if isinstance(v, Tensor)}
+    truth = {f"truth.{k}": v for k, v in vars(batch.truth).items()} if batch.truth else {}
+    tensors = {
+        k: v.cpu().contiguous()
+        for k, v in {**vars(batch), **truth}.items()
+        if isinstance(v, Tensor)
+    }
     save_file(tensors, path, {"names": json.dumps(batch.names)})
     raise UserError(
-        f"the loss is {total.item()}, expected a finite number. Its batch is in {path}; the last "
+        f"the {what} is {value.item()}, expected a finite number. Its batch is in {path}; the last "
         "checkpoint is untouched. A smaller --lr, or --precision no, are what usually helps."
     )
 

@@ -82,7 +82,7 @@ def _require_fit(what: str, K: Array, wh: tuple[int, int]) -> None:
     if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0 and tuple(K[2]) == (0, 0, 1)):
         raise UserError(f"{what} is\n{K}\nexpected (3, 3): fx 0 cx / 0 fy cy / 0 0 1, in pixels.")
     centre = (np.asarray(wh) - 1) / 2
-    if np.any(np.abs(K[:2, 2] - centre) > MAX_OFF_CENTRE * np.asarray(wh)):
+    if not np.all(np.abs(K[:2, 2] - centre) <= MAX_OFF_CENTRE * np.asarray(wh)):
         raise UserError(
             f"{what} has its principal point at ({K[0, 2]:.1f}, {K[1, 2]:.1f}), far from the "
             f"centre of an image of {wh[0]}x{wh[1]}: does it belong to another image size? Scale "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -68,7 +69,7 @@ def loss_terms(
                 batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH
             )
             terms["flow"] = image_flow_loss(
-                teacher.flow(left, right),
+                _flow_of(teacher, left, right),
                 valid_left & valid_right,
                 rect.vertical,
                 weight=weights.flow,
@@ -80,6 +81,12 @@ def loss_terms(
             prediction.log_matches, truth, prediction.rectification, prediction.feature_wh
         )
     return terms
+
+
+def _flow_of(teacher: FlowNetwork, left: Tensor, right: Tensor) -> Tensor:
+    """The teacher's flow, wherever it runs, where the images are."""
+    device = next(teacher.parameters()).device
+    return teacher.flow(left.to(device), right.to(device)).to(left.device)
 
 
 @torch.inference_mode()
@@ -114,7 +121,7 @@ class RectifierTask:
                 "none. Take one of them."
             )
         self.options = options
-        self.model = initial_model(options)
+        self.model, self._samples_before = initial_model(options)
         self.input_wh = options.model.input_wh
         self._teacher = load_flow(options.flow_weights) if options.teacher == "raft" else None
 
@@ -148,7 +155,7 @@ class RectifierTask:
         card = Card(
             preset=next((n for n, model in MODELS.items() if model == options.model), "custom"),
             prior_range_deg=seen.prior_range_deg,
-            samples=seen.samples,
+            samples=self._samples_before + seen.samples,
             data=str(options.data.name),
             translation=options.translation,
             fit=options.fit,
@@ -157,15 +164,30 @@ class RectifierTask:
         save_weights(path, self.model, card)
 
 
-def initial_model(options: TrainOptions) -> Rectifier:
-    """A fresh network, or the one of ``--init``."""
+def initial_model(options: TrainOptions) -> tuple[Rectifier, int]:
+    """A fresh network, or the one of ``--init``, and how many pairs it has seen."""
     if not options.init:
-        return Rectifier(options.model)
-    return load_weights(find_weights(options.init), expected=options.model)[0].train()
+        return Rectifier(options.model), 0
+    network, card = load_weights(find_weights(options.init), expected=options.model)
+    return network.train(), card.samples
+
+
+def as_initial(options: TrainOptions) -> TrainOptions:
+    """The options with the window that the weights of ``--init`` were trained on."""
+    if not options.init:
+        return options
+    card = load_weights(find_weights(options.init), expected=options.model)[1]
+    if card.fit != options.fit or options.keep not in (0.0, card.keep):
+        raise UserError(
+            f"{options.init} was trained with --fit {card.fit} --keep {card.keep:g}, not --fit "
+            f"{options.fit} --keep {options.keep:g}: give the same, or train from the start."
+        )
+    return replace(options, keep=card.keep)
 
 
 def train(options: TrainOptions) -> dict[str, float]:
     """Trains until the epochs, steps or minutes are over; returns the last validation."""
+    options = as_initial(options)
     return loop.train(lambda: RectifierTask(options), options)
 
 
@@ -174,7 +196,7 @@ def train(options: TrainOptions) -> dict[str, float]:
 
 def choose_preset(arguments: Sequence[str]) -> tuple[str, str]:
     """The preset that the defaults come from, and why."""
-    for flag, value in zip([*arguments, ""], [*arguments[1:], "", ""], strict=True):
+    for flag, value in zip(arguments, [*arguments[1:], ""], strict=False):
         name, _, joined = flag.partition("=")
         if name == "--preset":
             return joined or value, "as asked"
@@ -196,7 +218,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(", ".join(f"{name} {value:.3f}" for name, value in scores.items()))
-    return int(bool(options.overfit) and scores["geodesic_deg"] >= OVERFIT_BAR_DEG)
+    if not options.overfit or not scores:  # only the main process has scores
+        return 0
+    return int(scores["geodesic_deg"] >= OVERFIT_BAR_DEG)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -45,7 +46,10 @@ def rectified_wrongly(batch: Batch, error_deg: float, *, rng: torch.Generator) -
     rect = rectify(error @ batch.R, batch.t, K_left, K_right, METRIC_WH)
     left, _ = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
     right, _ = warp(batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH)
+    shown = inside(project(K_left, batch.truth.rays_left), METRIC_WH)
+    shown &= inside(project(K_right, batch.truth.rays_right), METRIC_WH)
     turned = batch.truth.rotated(left=rect.R_left, right=rect.R_right)
+    turned = replace(turned, visible=turned.visible & shown)  # elsewhere there is only black
     values = {**vars(batch), "left_metric": left, "right_metric": right, "truth": turned,
               "K_left_metric": rect.K_new, "K_right_metric": rect.K_new}  # fmt: skip
     return Batch(**values)

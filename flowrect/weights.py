@@ -23,6 +23,8 @@ from flowrect.model import Rectifier
 from simgen.errors import UserError
 
 FORMAT = "flowrect-weights-1"
+_LATER = {"passes"}
+"""fields of ModelConfig whose default is what networks did before there was a field"""
 SHIPPED = Path(__file__).with_name("weights_data")
 
 
@@ -99,10 +101,14 @@ def find_weights(name_or_path: str | Path) -> Path:
 
 
 def config_from_json(text: str) -> ModelConfig:
-    """ModelConfig of its JSON; ValueError if a field is missing, unknown or of the wrong type."""
+    """ModelConfig of its JSON; ValueError if a field is missing, unknown or of the wrong type.
+
+    Fields of ``_LATER`` may be missing: there were networks before them.
+    """
     names, given = {f.name for f in fields(ModelConfig)}, set(json.loads(text))
-    if names != given:
-        raise ValueError(f"fields {sorted(names ^ given)} are on one side only")
+    odd = (names ^ given) - (_LATER - given)
+    if odd:
+        raise ValueError(f"fields {sorted(odd)} are on one side only")
     return TypeAdapter(ModelConfig).validate_json(text)
 
 

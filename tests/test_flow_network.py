@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+from test_train import interrupt_after
 from tiny_network import network, road_set, training
 
 from flowrect import train, train_flow
@@ -135,7 +136,18 @@ def flow_options(data: Path, out: Path, **changes: object) -> FlowOptions:
     return replace(options, **changes)
 
 
-def test_raft_learns_resumes_and_scores(data, tmp_path):
+def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(data, tmp_path, monkeypatch):
+    whole, parts = (flow_options(data, tmp_path / name, max_steps=3) for name in "ab")
+    train_flow.train_flow(whole)
+    with monkeypatch.context() as patch:
+        interrupt_after(1, patch)
+        train_flow.train_flow(parts)
+    train_flow.train_flow(parts)
+    a, b = (load_file(o.out / "last.safetensors") for o in (whole, parts))
+    assert all(torch.equal(a[k], b[k]) for k in a)
+
+
+def test_a_finished_training_says_its_scores(data, tmp_path):
     whole = flow_options(data, tmp_path / "whole")
     scores = train_flow.train_flow(whole)
     assert set(scores) == {
@@ -175,8 +187,8 @@ def test_weights_come_back(weights):
     assert all(torch.equal(x, saved[k]) for k, x in raft.raft.state_dict().items())
 
 
-def test_the_teacher_teaches_and_does_not_learn(data, tmp_path, weights):
-    """The paper's self-supervision: no pose, no depth, only the flow between rectified images."""
+def test_the_network_learns_from_the_teacher_alone(data, tmp_path, weights):
+    """The paper's self-supervision: neither rotation nor depth, only what the teacher sees."""
     options = training(
         data, tmp_path, teacher="raft", flow_weights=str(weights), max_steps=1,
         loss=LossWeights(rotation=0, matching=0), loading=Loading(batch=1, workers=0),
@@ -196,9 +208,11 @@ def test_gradients_reach_the_pose_through_teacher_and_warp(data, weights):
     model = network(options.model).train()
     prediction = train.predict(model, batch, options)
     prediction.R.retain_grad()
-    terms = train.loss_terms(prediction, batch, options, load_flow(str(weights)))
+    teacher = load_flow(str(weights))
+    terms = train.loss_terms(prediction, batch, options, teacher)
     terms["flow"].backward()
     assert prediction.R.grad.abs().max() > 0
+    assert all(p.grad is None for p in teacher.parameters())
 
 
 def test_nothing_to_minimise_is_refused(data, tmp_path):
@@ -212,6 +226,12 @@ def test_a_pickle_that_runs_code_is_refused(tmp_path):
     torch.save({"x": print}, path)
     with pytest.raises(UserError, match="which holds tensors only"):
         load_flow(str(path))
+
+
+def test_a_list_of_tensors_is_refused(tmp_path):
+    torch.save([torch.zeros(1)], tmp_path / "raft.pth")
+    with pytest.raises(UserError, match="holds one list"):
+        load_flow(str(tmp_path / "raft.pth"))
 
 
 def test_other_weights_are_refused(tmp_path):

@@ -16,8 +16,10 @@ from safetensors import safe_open
 from safetensors.torch import load_file
 from tiny_network import TINY, TINY_PAPER, road_set, training
 
-from flowrect import checkpoint, loop, train
+from flowrect import loop, train
+from flowrect.augment import Augmentation
 from flowrect.config import MODELS, TRAINING, LossWeights
+from flowrect.loading import Loading
 from flowrect.runlog import keep_lines_until
 from flowrect.weights import load_weights
 from simgen.errors import UserError
@@ -141,8 +143,42 @@ def test_a_loss_that_is_not_finite_stops_and_leaves_the_batch(data, tmp_path, mo
 
 def test_minutes_end_a_run_with_a_checkpoint(data, tmp_path):
     train.train(training(data, tmp_path, minutes=1e-6, max_steps=1000))
-    assert checkpoint.load(tmp_path / loop.CHECKPOINT, loop.plain(
-        training(data, tmp_path, max_steps=1000, keep=_kept(tmp_path))))["step"] == 1  # fmt: skip
+    assert torch.load(tmp_path / loop.CHECKPOINT, weights_only=True)["step"] == 1
+
+
+def test_a_gradient_that_is_not_finite_spares_weights_and_checkpoint(data, tmp_path, monkeypatch):
+    train.train(training(data, tmp_path, max_steps=1))
+    before = (tmp_path / "last.safetensors").read_bytes()
+    exact = train.rotation_loss
+
+    def steep(*args: torch.Tensor, weight: float) -> torch.Tensor:
+        loss = exact(*args, weight=weight)
+        return loss + (loss - loss.detach()).clamp(min=0).sqrt()  # 0, with an infinite slope
+
+    monkeypatch.setattr(train, "rotation_loss", steep)
+    with pytest.raises(UserError, match="the gradient is nan"):
+        train.train(training(data, tmp_path / "second", max_steps=1))
+    assert not (tmp_path / "second" / loop.CHECKPOINT).exists()
+    with safe_open(tmp_path / "second" / "bad_batch.safetensors", framework="pt") as file:
+        assert {"left", "truth.rays_left", "truth.visible"} <= set(file.keys())
+    assert (tmp_path / "last.safetensors").read_bytes() == before
+
+
+def test_the_logged_loss_is_that_of_the_whole_step(data, tmp_path):
+    """Four batches of one pair, gathered, are one batch of four; the rotation loss is a mean."""
+    alone = {"teacher": "none", "loss": LossWeights(matching=0), "max_steps": 1}
+    for name, batch, accumulate in (("four", 4, 1), ("one", 1, 4)):
+        loading = Loading(batch=batch, workers=0)
+        train.train(
+            training(data, tmp_path / name, loading=loading, accumulate=accumulate, **alone)
+        )
+    assert losses(tmp_path / "one") == pytest.approx(losses(tmp_path / "four"), rel=1e-4)
+
+
+def test_turns_smaller_than_those_of_the_set_leave_no_border(data, tmp_path):
+    """The set's cameras are turned by up to 1°: taking that back moves the window, too."""
+    train.train(training(data, tmp_path, augmentation=Augmentation(turn_deg=0.2)))
+    assert losses(tmp_path)
 
 
 def _kept(out: Path) -> float:
@@ -173,6 +209,43 @@ def test_other_options_do_not_resume(data, tmp_path):
     train.train(training(data, tmp_path))
     with pytest.raises(UserError, match=r"other options: lr was 0\.0005, now 0\.1"):
         train.train(training(data, tmp_path, lr=0.1))
+
+
+def test_another_division_of_the_pairs_does_not_resume(data, tmp_path):
+    train.train(training(data, tmp_path))
+    with pytest.raises(UserError, match="val_pairs was 3, now 6"):
+        train.train(training(data, tmp_path, val_pairs=6))
+
+
+def test_other_pairs_do_not_resume(data, tmp_path):
+    train.train(training(data, tmp_path / "run"))
+    larger = road_set(tmp_path / "set", frames=6)
+    with pytest.raises(UserError, match="belongs to a run on other pairs"):
+        train.train(training(larger, tmp_path / "run"))
+
+
+def test_the_number_of_workers_may_change(data, tmp_path):
+    scores = train.train(training(data, tmp_path))
+    assert train.train(training(data, tmp_path, loading=Loading(batch=2, workers=1))) == scores
+
+
+@pytest.mark.parametrize("name", ["val_pairs", "val_every", "accumulate"])
+def test_nothing_less_than_one_is_taken(data, tmp_path, name):
+    with pytest.raises(UserError, match=f"--{name.replace('_', '-')} 0: expected at least 1"):
+        train.train(training(data, tmp_path, **{name: 0}))
+
+
+def test_given_weights_bring_their_window(data, tmp_path):
+    first = training(data, tmp_path / "first", keep=0.6)
+    train.train(first)
+    second = replace(
+        first, out=tmp_path / "second", init=str(first.out / "last.safetensors"), keep=0.0
+    )
+    train.train(second)
+    card = load_weights(second.out / "last.safetensors")[1]
+    assert (card.keep, card.samples) == (0.6, 12)
+    with pytest.raises(UserError, match=r"trained with --fit crop --keep 0\.6, not"):
+        train.train(replace(second, keep=0.7))
 
 
 def test_a_damaged_checkpoint_is_refused(data, tmp_path):
@@ -213,6 +286,19 @@ def test_a_preset_that_is_asked_for_is_taken(arguments):
 def test_without_a_gpu_the_small_preset_is_taken(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert train.choose_preset(["--data", "x"]) == ("small", "there is no GPU; paper needs one")
+
+
+def test_the_command_without_arguments_looks_for_shards(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert train.main([]) == 2
+    assert "shards: no such folder" in capsys.readouterr().err
+
+
+def test_an_overfit_check_fails_where_it_misses_its_bar(data, tmp_path, monkeypatch):
+    arguments = ["--data", str(data), "--out", str(tmp_path), "--preset", "small", "--overfit", "2"]
+    for scores, code in (({"geodesic_deg": 0.3}, 1), ({"geodesic_deg": 0.01}, 0), ({}, 0)):
+        monkeypatch.setattr(train, "train", lambda _, scores=scores: scores)
+        assert train.main(arguments) == code
 
 
 def test_the_command_reports_an_absent_set(tmp_path, capsys):

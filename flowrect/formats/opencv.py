@@ -35,6 +35,11 @@ NAMES = {
     "distortion_model": ("distortion_model",),
 }
 """what an entry may be called"""
+LENSES: dict[str, Lens] = {
+    "plumb_bob": "polynomial", "rational_polynomial": "polynomial", "equidistant": "fisheye",
+    "fisheye": "fisheye",
+}  # fmt: skip
+"""distortion_model, by the names that ROS and OpenCV have for it"""
 REQUIRED = ("K_left", "K_right", "R", "T")
 
 
@@ -51,7 +56,12 @@ def read(paths: Sequence[Path], wh: tuple[int, int] | None = None) -> Calibratio
     if wh is None:
         raise UserError(f"{where}: no entry image_width, image_height: which size is K for?")
     R, t = rotation(values["R"], f"{where}: R"), matrix(values["T"], (3,), f"{where}: T")
-    lens: Lens = "fisheye" if values.get("distortion_model") == "equidistant" else "polynomial"
+    model = values.get("distortion_model", "plumb_bob")
+    if model not in LENSES:
+        raise UserError(
+            f"{where}: distortion_model {model!r} is unknown; expected one of {sorted(LENSES)}."
+        )
+    lens = LENSES[model]
     return Calibration(
         K_left=matrix(values["K_left"], (3, 3), f"{where}: K_left"),
         K_right=matrix(values["K_right"], (3, 3), f"{where}: K_right"),

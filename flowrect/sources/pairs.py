@@ -17,7 +17,13 @@ class Pairs(Sequence[Pair], Generic[Item]):
     """Lazy pairs: ``pairs[i]`` reads the i-th from disk. May be handed to other processes."""
 
     def __init__(
-        self, items: Sequence[Item], read: Callable[[Item], Pair], *, layout: str, fingerprint: str
+        self,
+        items: Sequence[Item],
+        read: Callable[[Item], Pair],
+        *,
+        layout: str,
+        fingerprint: str,
+        largest_turn_deg: float = 0.0,
     ) -> None:
         if not items:
             raise UserError(f"{layout}: no pairs in it.")
@@ -26,6 +32,8 @@ class Pairs(Sequence[Pair], Generic[Item]):
         """what was found, and where"""
         self.fingerprint = fingerprint
         """changes when the content does"""
+        self.largest_turn_deg = largest_turn_deg
+        """of a camera against its nominal pose, about each axis"""
 
     def __len__(self) -> int:
         return len(self.items)
@@ -38,7 +46,8 @@ class Pairs(Sequence[Pair], Generic[Item]):
         if not isinstance(index, slice):
             return self._read(self.items[index])
         part = digest([self.fingerprint, repr(range(len(self))[index])])
-        return Pairs(self.items[index], self._read, layout=self.layout, fingerprint=part)
+        return Pairs(self.items[index], self._read, layout=self.layout, fingerprint=part,
+                     largest_turn_deg=self.largest_turn_deg)  # fmt: skip
 
     def __str__(self) -> str:
         return f"{self.layout}: {len(self)} pairs"

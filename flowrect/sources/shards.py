@@ -55,6 +55,7 @@ def open_shards(
         partial(_read, frames, truth_points),
         layout=f"{folder}: simgen shards, {split or 'train and test'}",
         fingerprint=digest([f"{s.name} {s.sha256}" for s in shards] + [str(truth_points)]),
+        largest_turn_deg=float(frames.manifest.config["rig"]["perturbation_deg"]),
     )
 
 
