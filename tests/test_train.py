@@ -156,7 +156,7 @@ def test_a_gradient_that_is_not_finite_spares_weights_and_checkpoint(data, tmp_p
         return exact(R_gt, R, weight=weight)
 
     monkeypatch.setattr(train, "rotation_loss", steep)
-    with pytest.raises(UserError, match="the gradient is (nan|inf)"):
+    with pytest.raises(UserError, match=r"the gradient is (nan|inf)"):
         train.train(training(data, tmp_path / "second", max_steps=1))
     assert not (tmp_path / "second" / loop.CHECKPOINT).exists()
     with safe_open(tmp_path / "second" / "bad_batch.safetensors", framework="pt") as file:
