@@ -9,7 +9,7 @@ IN_PARALLEL := -n auto --dist loadfile
 
 .PHONY: help demo test test-slow test-scalar lint bench clean
 help:
-	@echo "make demo         render, validate and report a small set into demo/ (9 pairs at 640x360)"
+	@echo "make demo         render, validate, report 9 pairs at 640x360 into demo/; rectify one"
 	@echo "make test         the test suite"
 	@echo "make test-slow    the tests that take minutes"
 	@echo "make test-scalar  the test suite with the scalar_rgb variant (needs no LLVM)"
@@ -30,8 +30,11 @@ demo: $(READY)
 	$(PY) -m simgen validate demo
 	$(PY) -m simgen report demo
 	$(PY) -m simgen show demo --frame 0 --out demo/frame-0.png
+	$(PY) -m simgen export demo --frame 0 --to demo/frame-0
+	$(PY) -m flowrect.rectify demo/frame-0/camera-0.png demo/frame-0/camera-1.png \
+	  --calib demo/frame-0/pair-0-1.yaml --out demo/rectified --existing replace
 	@echo
-	@echo "Look at:  demo/report.html   and   demo/frame-0.png"
+	@echo "Look at:  demo/report.html,  demo/frame-0.png  and  demo/rectified"
 
 test: $(READY)
 	$(PY) -m pytest -q -m "not slow" $(IN_PARALLEL)

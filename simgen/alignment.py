@@ -6,7 +6,7 @@ Notation as in ``opendrive.py``: station s, t to the left [m].
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -201,3 +201,38 @@ def _strokes(mark: Mark, outwards: int) -> list[tuple[float, tuple[float, float]
     shifts = [0.0] if len(kinds) == 1 else [-0.5 * gap * outwards, 0.5 * gap * outwards]
     dashes = [mark.dash if k == "broken" else None for k in kinds]
     return list(zip(shifts, dashes, strict=False))
+
+
+# --- from lane to lane ---------------------------------------------------------------------------
+
+
+def followed(line: Array, others: Sequence[Array], length: float) -> Array:
+    """A line (N, 3) with those of the others that begin where it ends, until it is ``length`` long.
+
+    It takes the straightest way, each line once, and ends early where none goes on.
+    """
+    firsts, taken = np.array([other[0] for other in others]), set[int]()
+    while np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum() < length:
+        heading = _heading(line[-2:])
+        touching = set(np.flatnonzero(np.linalg.norm(firsts - line[-1], axis=1) < 0.3).tolist())
+        bends = {
+            k: _turn(heading, others[k][-2:])
+            for k in touching - taken
+            if _turn(heading, others[k][:2]) < 0.2
+        }
+        if not bends:
+            break
+        best = min(bends, key=lambda k: bends[k])
+        taken.add(best)
+        line = np.concatenate([line, others[best][1:]])
+    return line
+
+
+def _heading(line: Array) -> float:
+    return float(np.arctan2(line[-1, 1] - line[0, 1], line[-1, 0] - line[0, 0]))
+
+
+def _turn(heading: float, line: Array) -> float:
+    """The angle from a heading to that of a line, whichever way round."""
+    difference = _heading(line) - heading
+    return float(abs(np.arctan2(np.sin(difference), np.cos(difference))))

@@ -67,7 +67,7 @@ class RenderOptions:
     split: Literal["all", "train", "test"] = "all"
     """render one side only; a scene is a test scene if its number is divisible by 10"""
     frames_per_scene: int = 1
-    """frames of one drive through the same scene"""
+    """frames of one drive, 3 m apart, through the same scene, in which the others stand still"""
     frames_per_shard: int = 16
     """rig frames per HDF5 file"""
     workers: int = 1

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from simgen.alignment import Strip, strips
+from simgen.alignment import Strip, followed, strips
 from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.opendrive import COEFFICIENTS, Element, lane_shape, parsed, read
@@ -99,11 +98,10 @@ def all_strips(data: bytes) -> tuple[Strip, ...]:
 def starts(data: bytes) -> tuple[Start, ...]:
     """Where a drive can begin; UserError if no lane is long enough."""
     driving = [x for x in all_strips(data) if x.kind == "driving"]
-    firsts = np.array([x.centre[0] for x in driving])
     found = []
     for strip in driving:
         if strip.junction == "-1":
-            centre = _followed(strip, driving, firsts)
+            centre = followed(strip.centre, [d.centre for d in driving], DRIVE_M)
             usable = min(_length(strip.centre), _length(centre) - SIGHT_M)
             if usable > 0:
                 found.append(Start(strip, centre, usable))
@@ -115,37 +113,8 @@ def starts(data: bytes) -> tuple[Start, ...]:
     return tuple(found)
 
 
-def _followed(strip: Strip, driving: Sequence[Strip], firsts: Array) -> Array:
-    """The lane's line with those that begin where it ends, the straightest way, for DRIVE_M."""
-    line, taken = strip.centre, set[int]()
-    while _length(line) < DRIVE_M:
-        heading = _heading(line[-2:])
-        touching = set(np.flatnonzero(np.linalg.norm(firsts - line[-1], axis=1) < 0.3).tolist())
-        bends = {
-            k: _turn(heading, driving[k].centre[-2:])
-            for k in touching - taken
-            if _turn(heading, driving[k].centre[:2]) < 0.2
-        }
-        if not bends:
-            break
-        best = min(bends, key=lambda k: bends[k])
-        taken.add(best)
-        line = np.concatenate([line, driving[best].centre[1:]])
-    return line
-
-
 def _length(line: Array) -> float:
     return float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum())
-
-
-def _heading(line: Array) -> float:
-    return float(np.arctan2(line[-1, 1] - line[0, 1], line[-1, 0] - line[0, 0]))
-
-
-def _turn(heading: float, line: Array) -> float:
-    """The angle from a heading to that of a line, whichever way round."""
-    difference = _heading(line) - heading
-    return float(abs(np.arctan2(np.sin(difference), np.cos(difference))))
 
 
 # --- writing back --------------------------------------------------------------------------------

@@ -71,16 +71,18 @@ class Layout:
         self,
         site: Site,
         spec: SceneSpec,
-        rig_xy: Array,
+        way: Array,
         sign_rects: Mapping[str, Rect],
         zoom: float,
         crossing: Crossing | None = None,
     ) -> None:
-        """``zoom`` is the focal length over that of a 90° lens: detail counts in pixels.
+        """``way`` (N, 2) is where the rig stands in the frames of the scene; what is near or in
+        view counts from the first of them, so that all frames show the same scene. ``zoom`` is the
+        focal length over that of a 90° lens: detail counts in pixels.
 
         ``crossing`` is the bridge over the road ahead.
         """
-        self.site, self.spec, self.rig_xy = site, spec, rig_xy
+        self.site, self.spec, self.way, self.rig_xy = site, spec, way, way[0]
         self.lanes = site.network.lanes
         self.sign_rects = sign_rects
         self.zoom = zoom
@@ -137,9 +139,11 @@ class Layout:
         return Mover(standing, np.array([xy[0], xy[1], ground]), heading, speed_m_s)
 
     def keep_clear_of_rig(self) -> None:
-        """Nothing may stand within a car's length of the cameras."""
+        """Nothing may stand on the rig's way, or within a car's length of its ends."""
         x, y = self.rig_xy
-        self.site.claim([(x + d, y, 2.2) for d in (-4.0, -1.0, 2.0, 5.0)])
+        ahead = self.way[-1] + [[2.0, 0.0], [5.0, 0.0]]
+        spots = np.concatenate([[(x - 4.0, y), (x - 1.0, y)], self.way, ahead])
+        self.site.claim(np.column_stack([spots, np.full(len(spots), 2.2)]))
 
 
 def edges(layout: Layout) -> Iterator[tuple[Lane, Array]]:

@@ -99,7 +99,7 @@ def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:
     scene_index = scene_of(index, job.frames_per_scene)
     spec = draw_spec(job, scene_index, attempt)
     step = index - scene_index * job.frames_per_scene
-    drive = world.drive(spec, step, job.opendrive)
+    drive = world.drive(spec, step, job.opendrive, num_steps=job.frames_per_scene)
     rng = stream(job.seed, index, attempt, "rig")
     posed = pose(job.rig, drive.T_world_vehicle, job.wh, rng=rng)
     shower = rain.draw_shower(

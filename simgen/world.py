@@ -27,6 +27,7 @@ from simgen import (
     trolley,
     works,
 )
+from simgen.alignment import followed
 from simgen.geometry import Array, rotation_from_vector, transform
 from simgen.layout import Layout, Mover, Placed
 from simgen.materials import MATERIALS
@@ -49,25 +50,39 @@ class Drive:
     network: Network
     T_world_vehicle: Array
     """(4, 4): x forward, y left, z up, origin on the road below the rig"""
+    way: Array
+    """(N, 3) along which the rig drives in this scene, from the first frame to the last"""
 
 
-def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"") -> Drive:
-    """The road network and where the rig is at frame ``step`` of the scene."""
+def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"", *, num_steps: int = 1) -> Drive:
+    """The road network and where the rig is at frame ``step`` of the scene's ``num_steps``.
+
+    Raises RuntimeError where the road ends before the last of them.
+    """
     network = roads.build(spec, opendrive_map)
     rng = spec.stream(f"pose {step}")
-    lane = network.rig_lane
-    s = min(network.rig_station + FRAME_STEP_M * step, stations(lane.centre)[-1] - 4.0)
-    point, heading = at_station(lane.centre, s)
-    ends = points_at(lane.centre, np.array([s - 1.5, s + 1.5]))
+    start, length = network.rig_station, FRAME_STEP_M * (num_steps - 1)
+    others = [x.centre for x in network.lanes if x.kind == "driving"]
+    line = followed(network.rig_lane.centre, others, start + length + 4.0)
+    if stations(line)[-1] < start + length + 2.0:
+        raise RuntimeError(f"the road goes on for {stations(line)[-1] - start:.0f} m, the drive "
+                           f"for {length:.0f}")  # fmt: skip
+    s = start + FRAME_STEP_M * step
+    point, heading = at_station(line, s)
+    ends = points_at(line, np.array([s - 1.5, s + 1.5]))
     pitch = -np.arctan2(ends[1, 2] - ends[0, 2], 3.0)
     side = np.array([-np.sin(heading), np.cos(heading), 0.0])
     yaw = float(heading) + float(rng.normal(0, 0.01))
     R = rotation_from_vector(np.array([0, 0, yaw])) @ rotation_from_vector(np.array([0, pitch, 0]))
-    return Drive(network, transform(R, point + float(rng.normal(0, 0.12)) * side))
+    way = points_at(line, np.linspace(start, start + length, num_steps))
+    return Drive(network, transform(R, point + float(rng.normal(0, 0.12)) * side), way)
 
 
 def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
-    """Everything that can be seen."""
+    """Everything that can be seen.
+
+    What stands where follows from the scene alone, wherever on its way the rig is.
+    """
     half = surroundings.FAR_INNER_M
     # OpenCV and NumPy let other threads run: images are painted while objects are put in place.
     with ThreadPoolExecutor(max_workers=2) as pool:
@@ -81,8 +96,7 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         )  # fmt: skip
         atlas = sign_atlas(rng=spec.stream("signs"))
         zoom = 1 / np.tan(optics.hfov_rad / 2)
-        rig_xy = drive.T_world_vehicle[:2, 3]
-        layout = Layout(site, spec, rig_xy, atlas.rects, float(zoom), crossing)
+        layout = Layout(site, spec, drive.way[:, :2], atlas.rects, float(zoom), crossing)
         parts, movers = _place(layout)
         surfaces = _sheets(spec, {p.material for p in parts}, optics.focal_px, pool)
         lamps = night.lamps(layout, drive.T_world_vehicle) if daylight.is_night(spec.sky) else []

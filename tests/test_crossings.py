@@ -82,7 +82,7 @@ def _things(layout: Layout) -> list[Part]:
 
 def _layout(site: Site, spec: SceneSpec, crossing: Crossing | None) -> Layout:
     rects = sign_atlas(rng=np.random.default_rng(0)).rects
-    return Layout(site, spec, np.zeros(2), rects, 1.0, crossing)
+    return Layout(site, spec, np.zeros((1, 2)), rects, 1.0, crossing)
 
 
 def test_bridges_reach_the_ground_and_nothing_else_reaches_into_their_decks(planned):

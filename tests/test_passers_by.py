@@ -29,7 +29,7 @@ def network() -> Network:
 
 
 def layout_of(network: Network, spec: SceneSpec) -> Layout:
-    return Layout(Site(network), spec, np.zeros(2), {}, 1.0)
+    return Layout(Site(network), spec, np.zeros((1, 2)), {}, 1.0)
 
 
 @pytest.fixture(scope="module")

@@ -119,6 +119,30 @@ def test_lamps_burn_at_night_only():
     assert len(night.lamps) > 4  # those of the rig are four
 
 
+def test_all_frames_of_a_drive_show_the_same_scene():
+    """What stands where does not depend on the rig, which drives on over the junction."""
+    spec = make_spec("urban", 2)
+    drives = [world.drive(spec, step, num_steps=12) for step in (0, 1, 11)]
+    first, *later = (world.build(spec, drive, OPTICS) for drive in drives)
+    for scene in later:
+        assert scene.movers == first.movers
+        assert len(scene.parts) == len(first.parts)
+        for a, b in zip(first.parts, scene.parts, strict=True):
+            assert (a.material, a.instance) == (b.material, b.instance)
+            np.testing.assert_array_equal(a.vertices, b.vertices)
+    way = np.array([d.T_world_vehicle[:3, 3] for d in drives])
+    assert np.linalg.norm(way[2] - way[0]) == pytest.approx(33.0, abs=1.0)
+    boxes = [np.array(m["xyz"][:2]) for m in first.movers]
+    nearest = min(np.linalg.norm(drives[0].way[:, :2] - xy, axis=1).min() for xy in boxes)
+    assert nearest > 2.0
+
+
+def test_a_drive_beyond_the_end_of_the_road_is_refused():
+    spec = make_spec("urban", 2)
+    with pytest.raises(RuntimeError, match="the road goes on for"):
+        world.drive(spec, 0, num_steps=2000)
+
+
 def test_only_sheets_in_use_are_drawn():
     spec = make_spec("highway", 3)
     scene = world.build(spec, world.drive(spec, 0), OPTICS)
