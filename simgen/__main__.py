@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from rich.console import Console
+from rich.progress import Progress
 from tyro.conf import Positional
 
 from simgen.config import RenderOptions
@@ -123,7 +125,12 @@ def _render(options: RenderOptions) -> int:
 def _validate(options: ValidateOptions) -> int:
     from simgen.validate import validate_folder
 
-    report = validate_folder(options.folder)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("frames", total=None)
+        report = validate_folder(
+            options.folder, progress=lambda done, of: bar.update(task, completed=done, total=of)
+        )
     print(report.table())
     return 0 if report.passed else 1
 

@@ -163,11 +163,16 @@ def resolve(options: RenderOptions, variant: str) -> Job:
     rig_name, rig = load_rig(options.rig)
     recipes, daylight, weather = (_names(getattr(options, kind))
                                   for kind in ("recipes", "daylight", "weather"))  # fmt: skip
+    if options.compression == "zstd":
+        from simgen.shards import load_zstd  # h5py is not needed before
+
+        load_zstd("--compression zstd")
+    w, h = rig.size
     return Job(
         seed=options.seed,
         rig_name=rig_name,
         rig=rig,
-        wh=parse_size(options.size) if options.size else rig.size,
+        wh=parse_size(options.size or f"{w}x{h}"),
         spp=options.spp,
         denoise=options.denoise,
         sensor=options.sensor,
@@ -207,7 +212,10 @@ def _check_numbers(options: RenderOptions) -> None:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if text and not names:
+        raise UserError(f"{text!r} names nothing: expected names with commas in between.")
+    return names
 
 
 def _load_recipes(names: Sequence[str]) -> dict[str, Recipe]:
@@ -225,7 +233,10 @@ def _taking_part(tables: dict[str, Any], *, named: bool) -> dict[str, Any]:
     """Drops what has no share, unless it was named: then all that were named get the same."""
     if named and any(t.share == 0 for t in tables.values()):
         return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
-    return {k: t for k, t in tables.items() if t.share > 0}
+    taking_part = {k: t for k, t in tables.items() if t.share > 0}
+    if not taking_part:
+        raise UserError(f"{', '.join(tables)}: all have share = 0, so nothing can be drawn.")
+    return taking_part
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -10,7 +10,7 @@ rig as OpenCV YAML, which flowrect.rectify starts from.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from simgen import engine, given_map
 from simgen.config import Job
 from simgen.errors import UserError
 from simgen.geometry import inverse
+from simgen.rig import Camera
 from simgen.shards import Frame, ShardSet
 
 
@@ -35,11 +36,12 @@ def export_frame(folder: Path, index: int, to: Path) -> list[Path]:
     frame = frames.frame(index)
     config = frames.manifest.config
     job = Job.from_content(config, given_map.kept(folder, config["opendrive"]))
-    radiances = _render_again(job, index, int(frame.spec["attempt"]))
     try:
         to.mkdir(parents=True, exist_ok=True)
+        (to / "frame.json").touch()
     except OSError as error:
-        raise UserError(f"--to {to}: cannot be made ({error.strerror}).") from error
+        raise UserError(f"--to {to}: cannot be written to ({error.strerror}).") from error
+    radiances = _render_again(job, frame)
     paths = []
     for c, radiance in enumerate(radiances):
         paths.append(_write_exr(to / f"camera-{c}.exr", camera_channels(frame, c, radiance)))
@@ -91,14 +93,28 @@ def write_nominal_rig(path: Path, frame: Frame, p: int) -> Path:
     return path
 
 
-def _render_again(job: Job, index: int, attempt: int) -> list[NDArray[np.float32]]:
+def _render_again(job: Job, frame: Frame) -> list[NDArray[np.float32]]:
+    index, attempt = int(frame.spec["frame_index"]), int(frame.spec["attempt"])
     engine.activate(engine.choose(job.variant))
     from simgen import produce
 
     watch = produce.Stopwatch()
     frame_plan = produce.plan_frame(job, index, attempt)
+    _require_same(frame, frame_plan.spec.to_json(), frame_plan.posed.cameras)
     loaded, sky = produce.load(frame_plan, job, watch)
     return produce.radiance(frame_plan, job, loaded, sky, watch)
+
+
+def _require_same(frame: Frame, spec: dict[str, Any], cameras: Sequence[Camera]) -> None:
+    """Raises UserError if what is drawn today is not what was rendered."""
+    same_scene = json.loads(json.dumps(spec)) == frame.spec["scene"]
+    poses = [camera.T_world_cam for camera in cameras]
+    if not (same_scene and np.allclose(poses, frame.read("T_world_cam"), rtol=0, atol=1e-9)):
+        raise UserError(
+            f"frame {frame.spec['frame_index']} was rendered by simgen "
+            f"{frame.spec['versions']['simgen']} of another day, and is drawn otherwise by this "
+            "one: its radiance cannot be had again. Render the set anew, or use that version."
+        )
 
 
 def _write_exr(path: Path, channels: Mapping[str, NDArray[Any]]) -> Path:

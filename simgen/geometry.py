@@ -1,7 +1,8 @@
 """Rigid transforms, projection and frame flips of pinhole cameras, in NumPy float64.
 
 Notation: ``T_b_a`` takes points from frame a to frame b (``p_b = R_b_a @ p_a + t_b_a``), inner
-names cancel. Camera frame: OpenCV (x right, y down, z forward). World: x east, y north, z up,
+names cancel. Camera frame: OpenCV (x right, y down, z forward). World: x ahead where the
+drive begins, y left, z up,
 metres. ``uv`` are pixel coordinates whose (0, 0) is the *centre* of the top-left pixel.
 CONVENTIONS.md states all of this once for the whole project.
 """

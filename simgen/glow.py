@@ -1,4 +1,4 @@
-"""The light of faces that burn, as a camera sees it, and the glare that it makes in lens and fog.
+"""The light of faces that burn, as it reaches a camera; the lens makes glare of it, fog halos.
 
 Lamps are small: what a pixel sees of them is found with several rays of its own, and only where a
 glowing face can be.
@@ -23,14 +23,10 @@ Image = NDArray[Any]
 
 OFFSETS_PX = (np.array([[-3, 1], [-1, -3], [1, 3], [3, -1]]) / 8.0).tolist()
 """(u, v) of the rays of a pixel: one in each row and column of a 4 × 4 grid"""
-GLARE = 0.04
-"""share of light that windscreen and lens scatter around a lamp"""
-GLARE_RADIUS = 0.02
-"""of the image's width"""
 
 
 def emitted(scene: Scene, camera: Camera, visibility_m: float) -> Image:
-    """Radiance (H, W, 3) that glowing faces send through the air into the camera, with glare."""
+    """Radiance (H, W, 3) that glowing faces send through the air into the camera."""
     w, h = camera.wh
     light = np.zeros((h, w, 3), dtype=np.float32)
     if not len(scene.glow.face):
@@ -40,7 +36,7 @@ def emitted(scene: Scene, camera: Camera, visibility_m: float) -> Image:
         uv1 = np.stack([u + offset[0], v + offset[1], np.ones(len(u))])
         rays = camera.T_world_cam[:3, :3] @ np.linalg.inv(camera.K) @ uv1
         light[v, u] += _seen(scene, camera, rays, visibility_m) / np.float32(len(OFFSETS_PX))
-    return light + GLARE * _spread(light, GLARE_RADIUS * w)
+    return light
 
 
 def _seen(scene: Scene, camera: Camera, rays: Array, visibility_m: float) -> Image:
@@ -68,15 +64,3 @@ def _possible(scene: Scene, camera: Camera) -> NDArray[np.uint8]:
     for triangle in triangles:
         cv2.fillConvexPoly(pixels, triangle, 1)
     return pixels
-
-
-def _spread(light: Image, radius_px: float) -> Image:
-    """The light in a halo: most of it near, the rest far."""
-    step = max(1, int(radius_px / 8))
-    small = cv2.resize(light, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
-    sigma = radius_px / step
-    halo = 0.6 * cv2.GaussianBlur(small, (0, 0), sigma / 4) + 0.4 * cv2.GaussianBlur(
-        small, (0, 0), sigma
-    )
-    wide: Image = cv2.resize(halo, light.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    return wide

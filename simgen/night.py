@@ -2,7 +2,7 @@
 
 Street lamps and the headlights of the rig are sources that light the scene. Everything that can
 be *seen* to burn (lit windows, lamps of vehicles, signals, luminaires) is a face with a radiance
-of its own [kcd/m²], which render.py adds to what the face reflects; as sources there would be too
+of its own [kcd/m²], which glow.py adds to what the face reflects; as sources there would be too
 many of them.
 """
 

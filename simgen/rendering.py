@@ -26,12 +26,13 @@ from simgen import __version__, engine, given_map, run
 from simgen.config import Job, RenderOptions, resolve
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
+from simgen.survey import read_log
 
 UNITS = "metres, pixels, degrees where a name ends in _deg"
 CONVENTIONS = (
-    "Camera axes: x right, y down, z forward. World: x east, y north, z up. Pixel centre of the "
-    "top-left pixel: (0, 0). T_world_cam takes camera to world. flow: uv_right = uv_left + flow. "
-    "See CONVENTIONS.md."
+    "Camera axes: x right, y down, z forward. World: x ahead where the drive begins, y left, z up. "
+    "Pixel centre of the top-left pixel: (0, 0). T_world_cam takes camera to world. flow: "
+    "uv_right = uv_left + flow. See CONVENTIONS.md."
 )
 
 # Compressed bytes per pixel, and seconds, as measured in benchmarks/ with the default options on
@@ -127,11 +128,7 @@ def _estimate(job: Job, folder: Path) -> Estimate:
 
 
 def _measured_seconds(folder: Path) -> float | None:
-    try:
-        lines = (folder / run.LOG).read_text(encoding="utf-8").splitlines()
-        spent = [sum(r["seconds"].values()) for r in map(json.loads, lines) if "seconds" in r]
-    except (OSError, ValueError):
-        return None
+    spent = [sum(r["seconds"].values()) for r in read_log(folder).finished]
     return float(np.median(spent)) if spent else None
 
 

@@ -66,7 +66,7 @@ class Rig(Table):
     perturbation_deg: Annotated[float, Field(ge=0.0, le=10.0)]
     """each component of a camera's rotation vector is uniform within ± this"""
     vehicle: Annotated[str, Field(pattern="^(car|truck)$")]
-    """what carries the rig: decides the lane position and what may be in front"""
+    """what carries the rig; a note for readers of the set"""
 
     @model_validator(mode="after")
     def _check_layout(self) -> Rig:

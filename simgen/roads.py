@@ -1,7 +1,7 @@
 """Road networks, terrain and building masses: the one module that talks to ``roadgen``.
 
-Nothing of roadgen's types leaves it. The network frame is the scene's world: x east, y north,
-z up, metres, moved and turned once so that the rig's lane passes the origin along +x.
+Nothing of roadgen's types leaves it. The network frame is the scene's world: z up, metres,
+moved and turned once so that the rig's lane passes the origin along +x.
 
 The main road runs from behind the rig through up to two junctions; side roads leave them. A map
 that somebody else drew may take the place of all that: see ``opendrive.py``.

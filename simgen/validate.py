@@ -82,7 +82,7 @@ def validate_folder(
       UserError: there is no manifest, it is not one of ours, or a filter to read it is missing.
     """
     path = Path(path)
-    entries, failed_frames = _read_manifest(path / "manifest.json")
+    entries, failed_frames, num_asked = _read_manifest(path / "manifest.json")
     num_frames = sum(len(e.frames) for e in entries)
     read = _Set([], [])
     for entry in entries:
@@ -90,7 +90,7 @@ def validate_folder(
             if progress is not None:
                 progress(len(read.facts), num_frames)
     read.findings += [
-        _check_frames(entries, read, failed_frames),
+        _check_frames(entries, read, failed_frames, num_asked),
         _check_splits(read.facts),
         *_check_angles(read.facts),
         *_pool_photometry(read.findings),
@@ -98,8 +98,8 @@ def validate_folder(
     return Report(tuple(read.findings))
 
 
-def _read_manifest(path: Path) -> tuple[list[_Entry], set[int]]:
-    """The shards, and the frames that failed for good."""
+def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], int]:
+    """The shards, the frames that failed for good, and how many were asked for, of both sides."""
     if not path.is_file():
         raise UserError(
             f"{path}: no manifest here, so this is no finished set. Name the folder that "
@@ -113,6 +113,8 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int]]:
             for s in manifest["shards"]
         ]
         failed_frames = {int(failure["frame_index"]) for failure in manifest["failures"]}
+        num_pairs = len(manifest["config"]["rig"]["pairs"])
+        num_asked = -(-int(manifest["num_pairs_asked"]) // num_pairs)
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}: not a manifest of simgen ({type(error).__name__}: {error}). Restore the "
@@ -122,7 +124,7 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int]]:
         raise UserError(f"{path}: {_other_schema(version)}")
     if not entries:
         raise UserError(f'{path}: lists no shard yet. Let "simgen render" finish at least one.')
-    return entries, failed_frames
+    return entries, failed_frames, num_asked
 
 
 def _other_schema(version: Any) -> str:
@@ -232,14 +234,19 @@ def _facts(arrays: Mapping[str, Any], split: str) -> _Facts:
 # --- the set ------------------------------------------------------------------------------------
 
 
-def _check_frames(entries: Sequence[_Entry], read: _Set, failed_frames: set[int]) -> Finding:
-    """Every index once, none left out but recorded failures and the side that is not there."""
+def _check_frames(
+    entries: Sequence[_Entry], read: _Set, failed_frames: set[int], num_asked: int
+) -> Finding:
+    """Every index once, none left out but recorded failures and the side that is not there.
+
+    Frames that were asked for and are not there yet are missing, too.
+    """
     listed = [i for e in entries for i in e.frames]
     found = [f.frame for f in read.facts]
     splits = {e.split for e in entries}
     expected = {
         i
-        for i in range(max(listed, default=-1) + 1)
+        for i in range(max(num_asked, 1 + max(listed, default=-1)))
         if _split_of(i // read.frames_per_scene) in splits
     }
     faults = {
@@ -248,8 +255,15 @@ def _check_frames(entries: Sequence[_Entry], read: _Set, failed_frames: set[int]
         "listed but not found": set(listed) - set(found),
         "found but not listed": set(found) - set(listed),
     }
-    detail = "; ".join(f"{what}: {sorted(frames)}" for what, frames in faults.items() if frames)
+    detail = "; ".join(f"{what}: {_listed(frames)}" for what, frames in faults.items() if frames)
     return judge("frames", [len(frames) for frames in faults.values()], "set", detail)
+
+
+def _listed(frames: set[int], most: int = 12) -> str:
+    """``[1, 2, 3]``, or the first of many and their number."""
+    if len(frames) <= most:
+        return str(sorted(frames))
+    return f"{len(frames)} frames, first {sorted(frames)[:most]}"
 
 
 def _split_of(scene: int) -> str:

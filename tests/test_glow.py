@@ -10,7 +10,7 @@ from small_scenes import camera, parallelogram, scene_of
 
 from simgen import night
 from simgen.atmosphere import transmittance
-from simgen.glow import GLARE, emitted
+from simgen.glow import emitted
 from simgen.mesh import box, part
 from simgen.schema import LABELS
 
@@ -36,7 +36,7 @@ def _light(parts, visibility_m=CLEAR_M):
 def test_a_lamp_that_fills_a_pixel_gives_it_its_radiance():
     light = _light([_lamp(10.0)])[PIXEL]
     np.testing.assert_array_less(LAMP, light + 1e-5)
-    np.testing.assert_array_less(light, LAMP * (1 + GLARE) + 1e-5)
+    np.testing.assert_array_less(light, LAMP + 1e-5)
 
 
 def test_nothing_that_burns_gives_no_light():
@@ -54,11 +54,11 @@ def test_fog_dims_a_lamp_by_its_transmittance():
     np.testing.assert_allclose(far / near, transmittance(np.float32(10.0), 40.0), rtol=5e-3)
 
 
-def test_all_light_of_a_small_lamp_is_kept_and_glare_added():
+def test_all_light_of_a_small_lamp_is_kept():
     """Solid angle by geometry: (2 h f / z)² pixels of the radiance."""
     half, z, f = 0.5, 12.0, 48.0
     light = _light([_lamp(z, half)])[..., 0].sum()
-    assert light == pytest.approx((2 * half * f / z) ** 2 * LAMP[0] * (1 + GLARE), rel=0.15)
+    assert light == pytest.approx((2 * half * f / z) ** 2 * LAMP[0], rel=0.15)
 
 
 def test_red_and_white_burn_on_vehicles_and_amber_does_not():

@@ -12,6 +12,7 @@ import pytest
 from simgen import engine, export, halos, spray
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
+from simgen.errors import UserError
 from simgen.produce import (
     draw_spec,
     make_frame,
@@ -153,3 +154,9 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     np.testing.assert_array_equal(np.stack([pair["flow.u"], pair["flow.v"]], -1), frame.flow(2))
     np.testing.assert_array_equal(pair["status.reverse"], frame.flow_status_reverse[2])
     assert all(path.exists() for path in paths)
+
+    # A set that today's program would draw otherwise is not given another scene's radiance.
+    other = {**manifest.config, "seed": manifest.config["seed"] + 1}
+    replace(manifest, shards=[entry], config=other).save(folder.path)
+    with pytest.raises(UserError, match="is drawn otherwise by this one"):
+        export.export_frame(folder.path, 0, tmp_path / "again")

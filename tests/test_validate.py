@@ -543,7 +543,10 @@ def write_manifest(folder: Path, shards: dict[str, list[int]], **changes: Any) -
         }
         for name, frames in shards.items()
     ]
-    manifest = {"schema_version": 1, "shards": entries, "failures": []} | changes
+    manifest = {
+        "schema_version": 1, "shards": entries, "failures": [], "num_pairs_asked": 3,
+        "config": {"rig": {"pairs": [[0, 1], [1, 2], [0, 2]]}},
+    } | changes  # fmt: skip
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
@@ -625,6 +628,14 @@ def test_a_shard_with_other_frames_than_listed_is_found(folder: Path, tiny: Fram
     write_shard(folder / "test-00000.h5", [numbered(tiny, 10)])
     write_manifest(folder, {"test-00000.h5": [0], "train-00000.h5": [1, 2]})
     assert failures(folder) == {"frames": "listed but not found: [0]; found but not listed: [10]"}
+
+
+def test_frames_that_were_asked_for_and_are_not_there_are_missing(folder: Path) -> None:
+    shards = {"test-00000.h5": [0], "train-00000.h5": [1, 2]}
+    write_manifest(folder, shards, num_pairs_asked=10)
+    assert failures(folder) == {"frames": "missing: [3]"}
+    write_manifest(folder, shards, num_pairs_asked=300)
+    assert failures(folder)["frames"].startswith("missing: 97 frames, first [3, 4,")
 
 
 def test_a_gap_is_found_unless_it_is_a_recorded_failure(folder: Path, tiny: Frame) -> None:
