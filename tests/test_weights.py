@@ -14,6 +14,7 @@ from safetensors.torch import save_file
 from scipy.spatial.transform import Rotation
 from tiny_network import TINY, TINY_PAPER, network, pairs, predict
 
+from flowrect.config import MODELS
 from flowrect.estimate import Calibrator, load_model
 from flowrect.weights import Card, config_from_json, find_weights, load_weights, save_weights
 from simgen.errors import UserError
@@ -149,3 +150,10 @@ def test_images_of_two_sizes_are_refused(path):
 def test_a_prior_that_is_no_pose_of_a_rig_is_refused(path, prior, message):
     with pytest.raises(UserError, match=message):
         load_model(path).estimate(noise(0), noise(1), K, K, prior)
+
+
+def test_the_shipped_weights_are_those_of_the_preset():
+    model, card = load_weights(find_weights("small"), expected=MODELS["small"])
+    assert not model.training
+    assert card.preset == "small"
+    assert min(card.prior_range_deg) > 1.9
