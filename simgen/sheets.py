@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
 
 import cv2
 import numpy as np
@@ -84,9 +85,14 @@ def turf_sheet(*, rng: np.random.Generator, size_px: int = 2048, metres: float =
     return canvas.sheet(grass, shade, [(dry, 0.5 * (grass + hay)), (straw, hay), (bare, soil)])
 
 
-def blank_sheet(*, size_px: int = 64, metres: float = 32.0) -> Sheet:
-    """Middle grey, for a surface that a scene does not have."""
-    return Sheet(np.full((size_px, size_px, 3), 128, np.uint8), metres)
+def blank_like(paint: Callable[..., Sheet]) -> Sheet:
+    """Middle grey, as large as what ``paint`` gives, for a surface that a scene does not have.
+
+    Size and scale of a texture are part of the renderer's kernels: others would compile.
+    """
+    given = {k: p.default for k, p in signature(paint).parameters.items()}
+    size_px = given["size_px"]
+    return Sheet(np.full((size_px, size_px, 3), 128, np.uint8), given["metres"])
 
 
 def filtered(sheet: Sheet, factor: int) -> Sheet:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -161,16 +162,17 @@ def _sheets(
 
     def draw(name: str) -> sheets.Sheet:
         rng = spec.stream(f"sheet {name}")
-        if name not in materials:
-            return sheets.blank_sheet()
-        if name == "roof":
-            return sheets.roof_sheet(rng=rng, size_px=size_px)
         if name == "bark":
-            return sheets.bark_sheet(rng=rng)
-        if name == "turf":
-            return sheets.turf_sheet(rng=rng, size_px=size_px)
-        number = int(name.removeprefix("wall_"))
-        return sheets.wall_sheet(kinds[number], colors[number], rng=rng, size_px=size_px)
+            paint = partial(sheets.bark_sheet, rng=rng)
+        elif name == "roof":
+            paint = partial(sheets.roof_sheet, rng=rng, size_px=size_px)
+        elif name == "turf":
+            paint = partial(sheets.turf_sheet, rng=rng, size_px=size_px)
+        else:
+            k = int(name.removeprefix("wall_"))
+            paint = partial(sheets.wall_sheet, kinds[k], colors[k], rng=rng, size_px=size_px)
+        sheet: sheets.Sheet = paint() if name in materials else sheets.blank_like(paint)
+        return sheet
 
     names = [name for name, material in MATERIALS.items() if material.color_by == "metres"]
     return dict(zip(names, pool.map(draw, names), strict=True))
