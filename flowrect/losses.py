@@ -6,17 +6,12 @@ Vertical flow is ``v_right − v_left`` [px] of a rectified pair; of a vertical 
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 from torch import Tensor
 
 from flowrect.correspondences import Correspondences
 from flowrect.drectify import Rectification, rectified_uv
 from flowrect.geometry import inside
-
-Teacher = Literal["exact", "raft", "none"]
-"""where the vertical flow comes from: depth and poses, a frozen flow network, or nowhere"""
 
 
 def rotation_loss(R_gt: Tensor, R: Tensor, *, weight: float = 10.0) -> Tensor:
