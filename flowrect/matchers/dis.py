@@ -1,0 +1,54 @@
+"""Dense optical flow by inverse search (Kroeger et al., DIS, ECCV 2016), with OpenCV.
+
+Nothing is learned. A point counts as matched if the flow back from where it went returns to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from flowrect.matches import Matches
+from flowrect.sample import Image
+from simgen.geometry import Array
+
+
+@dataclass(frozen=True)
+class Dis:
+    """How flow is computed, and which of its vectors are matches."""
+
+    preset: int = cv2.DISOPTICAL_FLOW_PRESET_MEDIUM
+    step: int = 6
+    """pixels between the points that are kept"""
+    cycle_px: float = 1.0
+    """largest distance of a point from where forward and backward flow take it"""
+
+
+TUNED = Dis()
+
+
+def match(left: Image, right: Image, options: Dis = TUNED) -> Matches:
+    """A grid of left pixels with their flow, where the flow back agrees."""
+    first, second = (cv2.cvtColor(x, cv2.COLOR_RGB2GRAY) for x in (left, right))
+    dis = cv2.DISOpticalFlow.create(options.preset)
+    forth = dis.calc(first, second, None)
+    back = dis.calc(second, first, None)
+    return consistent(forth, back, step=options.step, cycle_px=options.cycle_px)
+
+
+def consistent(forth: NDArray[Any], back: NDArray[Any], *, step: int, cycle_px: float) -> Matches:
+    """Matches on a grid of ``step`` pixels where flow (H, W, 2) and flow back cancel."""
+    h, w = forth.shape[:2]
+    v, u = np.mgrid[step // 2 : h : step, step // 2 : w : step].reshape(2, -1)
+    uv_left: Array = np.stack([u, v], axis=1).astype(np.float64)
+    uv_right = uv_left + forth[v, u]
+    inside = ((uv_right >= 0) & (uv_right <= [w - 1, h - 1])).all(1)
+    x, y = uv_right.astype(np.float32).T
+    returned = cv2.remap(back, x[:, None], y[:, None], cv2.INTER_LINEAR)[:, 0]
+    cycle = np.linalg.norm(forth[v, u] + returned, axis=1)
+    kept = inside & (cycle <= cycle_px)
+    return Matches(uv_left[kept], uv_right[kept], 1 / (1 + cycle[kept]))

@@ -1,0 +1,80 @@
+"""SIFT key points and nearest neighbours (D. Lowe, IJCV 2004), with OpenCV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from flowrect.matches import Matches
+from flowrect.resize import resized_image
+from flowrect.sample import Image
+from simgen.geometry import Array
+
+
+@dataclass(frozen=True)
+class Sift:
+    """What is detected, and which neighbours are matches. The defaults are OpenCV's and Lowe's."""
+
+    max_features: int = 0
+    """the strongest ones; 0: all"""
+    contrast: float = 0.04
+    """below it a key point is dropped"""
+    ratio: float = 0.75
+    """of the distances to the best and the second best descriptor"""
+    mutual: bool = False
+    """both ends must be each other's best, by the ratio test both ways"""
+    max_pixels: int = 0
+    """larger images are shrunk; 0: never"""
+
+
+PAPER = Sift()
+"""of the metric "SIFT offset": ratio 0.75, one way"""
+TUNED = Sift(contrast=0.01, ratio=0.85, mutual=True)
+"""many points of little contrast: a robust solver can choose"""
+QUICK = Sift(max_features=4000, mutual=True, max_pixels=1_500_000)
+"""for a check of one pair, whatever its size"""
+
+
+def match(left: Image, right: Image, options: Sift = TUNED) -> Matches:
+    """Nearest neighbours among SIFT descriptors that pass the ratio test."""
+    (uv_left, first), (uv_right, second) = (_features(x, options) for x in (left, right))
+    forth = _best(first, second, options.ratio)
+    if options.mutual:
+        back = _best(second, first, options.ratio)
+        forth = forth[_partner_of(back, len(second))[forth[:, 1]] == forth[:, 0]]
+    return Matches(uv_left[forth[:, 0]], uv_right[forth[:, 1]])
+
+
+def _features(image: Image, options: Sift) -> tuple[Array, NDArray[np.float32]]:
+    """Positions (N, 2) [px] and descriptors (N, 128)."""
+    h, w = image.shape[:2]
+    scale = min(1.0, (options.max_pixels / (w * h)) ** 0.5) if options.max_pixels else 1.0
+    wh = round(w * scale), round(h * scale)
+    grey = cv2.cvtColor(resized_image(image, wh), cv2.COLOR_RGB2GRAY)
+    sift = cv2.SIFT.create(options.max_features, contrastThreshold=options.contrast)
+    keypoints, descriptors = sift.detectAndCompute(grey, None)
+    if not keypoints:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    uv = np.array([k.pt for k in keypoints], dtype=np.float64)
+    return (uv + 0.5) * np.array([w / wh[0], h / wh[1]]) - 0.5, descriptors
+
+
+def _best(
+    first: NDArray[np.float32], second: NDArray[np.float32], ratio: float
+) -> NDArray[np.int64]:
+    """Indices (M, 2) of descriptors and their best partners, where the next is far worse."""
+    if not len(first) or len(second) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    neighbours = cv2.BFMatcher().knnMatch(first, second, k=2)
+    kept = [(a.queryIdx, a.trainIdx) for a, b in neighbours if a.distance < ratio * b.distance]
+    return np.array(kept, dtype=np.int64).reshape(-1, 2)
+
+
+def _partner_of(pairs: NDArray[np.int64], num: int) -> NDArray[np.int64]:
+    """The partner (num,) of each index that comes first in ``pairs``; −1 where it has none."""
+    partner = np.full(num, -1, dtype=np.int64)
+    partner[pairs[:, 0]] = pairs[:, 1]
+    return partner

@@ -1,0 +1,55 @@
+"""Matches of a pair: what every matcher returns, and every solver starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flowrect.sample import Image
+from simgen.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """N points of the left image and where the right one shows them; pinhole images."""
+
+    uv_left: Array
+    """(N, 2) [px]"""
+    uv_right: Array
+    score: Array = field(default_factory=lambda: np.zeros(0))
+    """(N,) how sure the matcher is, more is better, on a scale of its own; 1 if it does not say"""
+
+    def __post_init__(self) -> None:
+        for name in ("uv_left", "uv_right"):
+            uv = np.asarray(getattr(self, name), dtype=np.float64).reshape(-1, 2)
+            object.__setattr__(self, name, uv)
+        num = len(self.uv_left)
+        score = np.ones(num) if np.size(self.score) == 0 else np.asarray(self.score, np.float64)
+        object.__setattr__(self, "score", score)
+        if not len(self.uv_right) == len(score) == num:
+            raise ValueError(f"Matches: {num} left and {len(self.uv_right)} right points, "
+                             f"{len(score)} scores; expected one number")  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.uv_left)
+
+    def subset(self, index: NDArray[Any]) -> Matches:
+        """The matches ``index`` (integers or booleans)."""
+        return Matches(self.uv_left[index], self.uv_right[index], self.score[index])
+
+    def rays(self, K_left: Array, K_right: Array) -> tuple[Array, Array]:
+        """K⁻¹ (u, v, 1)ᵀ (N, 3) of both ends, in their cameras."""
+        return rays(self.uv_left, K_left), rays(self.uv_right, K_right)
+
+
+Matcher = Callable[[Image, Image], Matches]
+"""left and right image (H, W, 3) uint8 RGB to matches in their pixels"""
+
+
+def rays(uv: Array, K: Array) -> Array:
+    """K⁻¹ (u, v, 1)ᵀ (N, 3) of points uv (N, 2) [px]."""
+    return np.column_stack([uv, np.ones(len(uv))]) @ np.linalg.inv(K).T

@@ -1,0 +1,142 @@
+"""A rotation, and a direction of t, fitted to matches by their residuals in pixels.
+
+*5-DoF*: R = exp(ω) R₀ and t̂ = normalise(t̂₀ + B b), with ω the turn (3,) about the right camera's
+axes and b (2,) along two axes B across t̂₀; the residual of a match is its Sampson error, the
+distance in pixels (to first order) that both ends together must move to satisfy x_rᵀ F x_l = 0.
+*3-DoF*: the same with t as given. Wrong matches are held down by Cauchy's loss, whose scale is
+graduated from what a bad prior leaves to what good matches leave. Yaw is observed 10 to 20 times
+worse than pitch, and the length of t never: see CONVENTIONS.md.
+
+Sources: R. Hartley and A. Zisserman, *Multiple View Geometry*, 2nd ed., 11.4.3 (Sampson error);
+A. Blake and A. Zisserman, *Visual Reconstruction*, 1987 (graduated scale).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from flowrect.matches import Matches
+from flowrect.solvers.solution import NoSolution, Solution, require_matches
+from simgen.geometry import Array, rotation_from_vector, skew
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a pose is fitted."""
+
+    free_t: bool = True
+    """5-DoF; else t stays as given"""
+    scales_px: tuple[float, ...] = (8.0, 3.0, 1.0, 0.5)
+    """of Cauchy's loss, one after the other"""
+    start_deg: float = 1.0
+    """the first scale is at least what this turn does in the image's centre: a longer lens sees a
+    wrong prior as more pixels"""
+    t_sigma_deg: float = 1.0
+    """standard deviation of the prior direction of t, about each axis"""
+    R_sigma_deg: float = 3.0
+    """of the prior rotation: next to nothing where there are matches"""
+    inlier_px: float = 2.0
+    """largest Sampson error of a match that supports the pose"""
+    min_inliers: int = 20
+    min_share: float = 0.2
+    """of supporting matches among all: chance alone brings a tenth"""
+
+
+FIVE_DOF = Fit()
+THREE_DOF = Fit(free_t=False)
+
+
+def fit(
+    matches: Matches, K_left: Array, K_right: Array, prior: Array, options: Fit = FIVE_DOF
+) -> Solution:
+    """Fits a pose to matches, starting from the prior T_right_left (4, 4).
+
+    Raises NoSolution if there are too few matches, or too few that support the pose.
+    """
+    require_matches(matches, options.min_inliers)
+    problem = _Problem(matches, K_left, K_right, prior, options)
+    x = np.zeros(5 if options.free_t else 3)
+    first = max(options.scales_px[0], np.deg2rad(options.start_deg) * K_left[1, 1])
+    for scale in (first, *options.scales_px[1:]):
+        x = least_squares(problem.residuals, x, loss=problem.loss(scale), x_scale=1e-2).x
+    R, t = problem.pose(x)
+    error = np.abs(sampson_px(matches, K_left, K_right, R, t))
+    inliers = error < options.inlier_px
+    if inliers.sum() < max(options.min_inliers, options.min_share * len(matches)):
+        raise NoSolution(
+            f"only {inliers.sum()} of {len(matches)} matches lie within {options.inlier_px:g} px "
+            f"of the best pose; expected {options.min_inliers}, and {options.min_share:.0%}. Do "
+            "both images show the same scene, and is the prior roughly right?"
+        )
+    covariance = problem.covariance(x, options.scales_px[-1])
+    return Solution(R, t, inliers, covariance)
+
+
+def sampson_px(matches: Matches, K_left: Array, K_right: Array, R: Array, t: Array) -> Array:
+    """Signed Sampson error (N,) [px] of matches under X_right = R X_left + t."""
+    F = np.linalg.inv(K_right).T @ skew(t) @ R @ np.linalg.inv(K_left)
+    ones = np.ones((len(matches), 1))
+    left, right = np.hstack([matches.uv_left, ones]), np.hstack([matches.uv_right, ones])
+    line_right, line_left = left @ F.T, right @ F
+    square = (line_right[:, :2] ** 2).sum(1) + (line_left[:, :2] ** 2).sum(1)
+    return np.asarray((right * line_right).sum(1) / np.sqrt(np.maximum(square, 1e-30)))
+
+
+class _Problem:
+    """The residuals of x = ω, or (ω, b)."""
+
+    def __init__(
+        self, matches: Matches, K_left: Array, K_right: Array, prior: Array, options: Fit
+    ) -> None:
+        self.matches, self.K_left, self.K_right = matches, K_left, K_right
+        self.R_0, self.length = prior[:3, :3], float(np.linalg.norm(prior[:3, 3]))
+        self.t_0 = prior[:3, 3] / self.length
+        self.across = _across(self.t_0)
+        self.sigma = np.deg2rad([options.R_sigma_deg] * 3 + [options.t_sigma_deg] * 2)
+
+    def pose(self, x: Array) -> tuple[Array, Array]:
+        t = self.t_0 + self.across @ x[3:] if len(x) > 3 else self.t_0
+        return rotation_from_vector(x[:3]) @ self.R_0, t / np.linalg.norm(t) * self.length
+
+    def residuals(self, x: Array) -> Array:
+        """Of the matches [px], then of the prior, in its standard deviations."""
+        errors = sampson_px(self.matches, self.K_left, self.K_right, *self.pose(x))
+        return np.concatenate([errors, x / self.sigma[: len(x)]])
+
+    def loss(self, scale: float) -> Callable[[Array], Array]:
+        """SciPy's rho: Cauchy's for the matches, squares for the prior; (3, n) with derivatives."""
+
+        def rho(z: Array) -> Array:
+            shrunk = 1 + z / scale**2
+            cauchy = np.stack([scale**2 * np.log(shrunk), 1 / shrunk, -1 / (scale * shrunk) ** 2])
+            prior = np.arange(len(z)) >= len(self.matches)
+            return np.where(prior, np.stack([z, np.ones_like(z), np.zeros_like(z)]), cauchy)
+
+        return rho
+
+    def covariance(self, x: Array, scale: float) -> Array:
+        """(5, 5) of (ω, b) [rad²], about the solution; that of the prior for what is not fitted.
+
+        Gauss–Newton with Cauchy's weights; the noise of a match from the weighted residuals.
+        """
+        r, num = self.residuals(x), len(self.matches)
+        J = np.stack([self.residuals(x + d) - self.residuals(x - d)
+                      for d in 1e-6 * np.eye(len(x))], axis=1) / 2e-6  # fmt: skip
+        weight = np.concatenate([1 / (1 + (r[:num] / scale) ** 2), np.ones(len(x))])
+        noise = (weight[:num] * r[:num] ** 2).sum() / weight[:num].sum()
+        weight[:num] /= noise
+        full = np.diag(self.sigma**2)
+        full[: len(x), : len(x)] = np.linalg.inv((J * weight[:, None]).T @ J)
+        return full
+
+
+def _across(t: Array) -> Array:
+    """Two unit axes (3, 2) across t (3,): for a horizontal rig about y and z."""
+    least = np.argsort(np.abs(t), kind="stable")[:2]
+    axes = np.eye(3)[:, np.sort(least)]
+    axes -= t[:, None] * (t @ axes)
+    return np.asarray(np.linalg.qr(axes)[0] * np.sign(np.diag(np.linalg.qr(axes)[1])))
