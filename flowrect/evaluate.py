@@ -1,148 +1,184 @@
-"""Scores of trained weights on a set: ``python -m flowrect.evaluate --data shards --weights FILE``.
+"""Which method rectifies best, and on what: ``python -m flowrect.evaluate --data shards/``.
 
-Three rows, the same pairs for all: *unrectified* (the prior's rotation for the angles, the images
-as they are for vertical flow), the *network*, and the *truth*. Angles are those of R_gt R_predᵀ
-about the right camera's axes; vertical flow is exact, by the correspondences of every native left
-pixel, at 512×256 of the whole 2:1 window, whatever part of it the network sees.
+Two passes. Every method predicts every pair, and its predictions go to a file; then the files are
+scored. The same pairs, size, intrinsics and prior for all. What is there already is not made
+again, so the same command goes on after an interruption, and with further ``--methods``.
+
+OUT/predictions/METHOD.T.h5 holds the predictions, ``scores.csv`` the figures of every pair,
+``summary.csv`` their means, medians and intervals, ``tables.md`` the paper's Table 2 and the same
+by weather and daylight, ``report.html`` pictures of all of it.
 """
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import torch
 import tyro
 from rich.console import Console
-from rich.progress import track
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from flowrect.drectify import rectify
-from flowrect.estimate import Calibrator, load_model
-from flowrect.metrics import (
-    METRIC_WH,
-    angles_deg,
-    exact_vertical_flow,
-    geodesic_deg,
-    summarise,
-    unrectified_vertical_flow,
-)
-from flowrect.resize import Sizing, sized
-from flowrect.sample import Pair, collate
-from flowrect.sources import open_source
+from flowrect.evaluation import tables
+from flowrect.evaluation.delivered import Delivered, Delivery, Translation
+from flowrect.evaluation.predict import Report, Run, predict
+from flowrect.evaluation.predictions import read
+from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
+from flowrect.matchers import load_matcher
+from flowrect.methods import METHODS
 from simgen.errors import UserError
 
-FIGURES = ("pitch [°]", "yaw [°]", "roll [°]", "geodesic [°]", "vertical flow [px]")
-ROWS = ("unrectified", "network", "truth")
+OFFSETS = {"sift": "sift-paper"}
+"""figure: the matcher that measures what is left between rectified images"""
 
 
 @dataclass(frozen=True)
-class Options:
-    """Angles and exact vertical flow of trained weights, over the pairs of a rendered set."""
+class EvaluateOptions:
+    """Scores methods on a set: angles, exact vertical flow, offsets of matches, image error."""
 
     data: Path
-    """a set of simgen"""
-    weights: str = "small"
-    """name of shipped weights, or a file of flowrect.train"""
+    """a set of simgen, or rectified real pairs with --turn-deg: a folder with left/, right/ and
+    calib.yaml, KITTI raw, or a list"""
+    methods: tuple[str, ...] = ("network", "sift+loransac", "sift+5dof", "dis+5dof", "network+5dof")
+    """names, or network=FILE for a network of flowrect.train"""
+    translations: tuple[Translation, ...] = ("gt", "nominal")
+    """t that methods are given: gt as in the paper, though it leaks rotation, or the nominal one,
+    which is what a user has. With gt all are scored with the true t, else with their own"""
     split: Literal["test", "train", "all"] = "test"
-    translation: Literal["gt", "nominal"] = "gt"
-    """t of the prior, for the network and for the rectification that is scored: gt as in the paper,
-    though it leaks rotation, or the nominal one, which is what a user has"""
+    """frames of a rendered set"""
+    size: str = "1024x512"
+    """of the images that methods get: cut to 2:1 and shrunk; never enlarged"""
     limit: int = 0
     """pairs at most, evenly chosen; 0: all"""
-    out: Path | None = None
-    """writes the figures of every pair to this file, a JSON object a line"""
+    turn_deg: float = 0.0
+    """turns the cameras of rectified real pairs by known rotations, each component within ± this"""
+    matched_pairs: int = 86
+    """pairs, evenly chosen, for figures that match the rectified images anew"""
+    time_limit_s: float = 120.0
+    """that a method may take for a pair; then it is stopped, which counts as a failure"""
+    jobs: int = 1
+    """processes that predict"""
+    root: Path | None = None
+    """folder that the paths of a list are relative to"""
+    out: Path = Path("results")
 
 
-@torch.inference_mode()
-def score(
-    pair: Pair, calibrator: Calibrator, translation: Literal["gt", "nominal"]
-) -> dict[str, list[float]]:
-    """The ``FIGURES`` of one pair by row."""
-    config, card = calibrator.network.config, calibrator.card
-    seen = collate([sized(pair, Sizing(config.input_wh, card.fit, card.keep))])
-    whole = collate([sized(pair, Sizing(config.input_wh, card.fit))])
-    if seen.R is None or seen.t is None or whole.truth is None:
-        raise UserError(
-            f"{pair.name}: has no exact ground truth; expected a pair that was rendered."
-        )
-    t = seen.t if translation == "gt" else seen.t_nominal
-    network = calibrator.network(
-        seen.left, seen.right, seen.K_left, seen.K_right, seen.R_nominal, t
-    )
-    rotations = {"unrectified": seen.R_nominal, "network": network.R, "truth": seen.R}
-    K_left, K_right = whole.K_left_metric, whole.K_right_metric
-    rect = {row: rectify(R, t, K_left, K_right, METRIC_WH) for row, R in rotations.items()}
-    flow = {row: exact_vertical_flow(rect[row], whole.truth) for row in ROWS[1:]}
-    flow["unrectified"] = unrectified_vertical_flow(
-        whole.truth, K_left, K_right, rect["truth"].vertical
-    )
-    return {
-        row: [
-            *angles_deg(seen.R, R)[0].abs().tolist(),
-            geodesic_deg(seen.R, R).item(),
-            flow[row].item(),
-        ]
-        for row, R in rotations.items()
-    }
-
-
-def evaluate(options: Options) -> list[dict[str, Any]]:
-    """Scores every pair: its name, scene, weather, daylight, and the figures by row."""
-    split = None if options.split == "all" else options.split
-    pairs = open_source(options.data, split=split, truth_points=None)
-    calibrator = load_model(options.weights)
-    num = min(options.limit or len(pairs), len(pairs))
-    chosen = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
-    return list(_scored((pairs[i] for i in track(chosen, "pairs")), calibrator, options))
+def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
+    """Predicts what is missing, scores everything, and writes the files."""
+    _require_known(options.methods)
+    delivery = Delivery(options.data, options.split, _wh(options.size), options.limit,
+                        options.turn_deg, root=options.root)  # fmt: skip
+    run = Run(delivery, options.methods, options.translations, options.out,
+              options.time_limit_s, options.jobs)  # fmt: skip
+    with _progress(console, "predicting") as report:
+        unavailable = predict(run, report)
+    for method, reason in unavailable.items():
+        console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
+    rows = _read(run, delivery.open().fingerprint, unavailable)
+    scores = _scored(delivery.open(truth_points=None), rows, options, console)
+    _write(options, scores, unavailable)
+    return scores
 
 
 def _scored(
-    pairs: Iterator[Pair], calibrator: Calibrator, options: Options
-) -> Iterator[dict[str, Any]]:
-    for pair in pairs:
-        figures = score(pair, calibrator, options.translation)
-        yield {"name": pair.name, "scene": pair.scene, "weather": pair.weather,
-               "daylight": pair.daylight, **figures}  # fmt: skip
+    pairs: Delivered, rows: Rows, options: EvaluateOptions, console: Console
+) -> list[Score]:
+    matchers = {figure: load_matcher(name) for figure, name in OFFSETS.items()}
+    num = min(options.matched_pairs, len(pairs))
+    matched = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
+    scores: list[Score] = []
+    with _progress(console, "scoring") as report:
+        of_pairs = scored(pairs, rows, options.translations, matchers=matchers, matched=matched)
+        for done, of_pair in enumerate(of_pairs, 1):
+            scores += of_pair
+            report(done, len(pairs))
+    return scores
 
 
-def table(records: list[dict[str, Any]], title: str) -> Table:
-    """Mean / median of every figure, and the 95 % interval of the mean over scenes."""
-    rng = np.random.default_rng(0)
-    scenes = [r["scene"] for r in records]
-    result = Table("", *FIGURES, title=title)
-    for row in ROWS:
-        cells = []
-        for k in range(len(FIGURES)):
-            values = np.array([r[row][k] for r in records])
-            known = np.isfinite(values)
-            s = summarise(values[known], np.array(scenes)[known], rng=rng)
-            missing = f" ({(~known).sum()} without)" if not known.all() else ""
-            low, high = s.interval
-            cells.append(f"{s.mean:.3f} / {s.median:.3f} [{low:.3f}, {high:.3f}]{missing}")
-        result.add_row(row, *cells)
-    return result
+def _read(run: Run, fingerprint: str, unavailable: dict[str, str]) -> Rows:
+    """Predictions by method, translation and pair."""
+    return {
+        (method, translation): {r.index: r for r in read(path, data=fingerprint)}
+        for method in run.methods
+        for translation in run.translations
+        if method not in unavailable and (path := run.path(method, translation)).exists()
+    }
 
 
-def main() -> int:
-    """Runs the command; 2 if the user has to mend something."""
-    options = tyro.cli(Options, prog="flowrect.evaluate")
+def _write(options: EvaluateOptions, scores: Sequence[Score], unavailable: dict[str, str]) -> None:
+    out = options.out
+    tables.write_scores(out / "scores.csv", scores)
+    tables.write_summary(out / "summary.csv", scores)
+    title = f"Rectification at {options.size}"
+    text = tables.document(scores, unavailable, title, options.translations)
+    (out / "tables.md").write_text(text, encoding="utf-8")
+
+
+def _require_known(methods: Sequence[str]) -> None:
+    known = [m for m in METHODS if m not in (UNRECTIFIED, TRUTH)]
+    unknown = [m for m in methods if m not in known and not m.startswith("network=")]
+    if unknown:
+        raise UserError(
+            f"method {unknown[0]!r}: expected some of {', '.join(known)}, or network=FILE."
+        )
+
+
+def _wh(size: str) -> tuple[int, int]:
     try:
-        records = evaluate(options)
+        w, h = (int(x) for x in size.split("x"))
+    except ValueError as error:
+        raise UserError(f"--size {size}: expected WIDTHxHEIGHT, such as 1024x512.") from error
+    return w, h
+
+
+class _progress(AbstractContextManager[Report]):
+    """A progress bar, as a function of done and of all."""
+
+    def __init__(self, console: Console, what: str) -> None:
+        self._bar = Progress(TextColumn(what), BarColumn(), MofNCompleteColumn(),
+                             TimeRemainingColumn(), console=console)  # fmt: skip
+        self._task = self._bar.add_task(what)
+
+    def __enter__(self) -> Report:
+        self._bar.start()
+        return lambda done, of: self._bar.update(self._task, completed=done, total=of)
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+
+def shown(scores: Sequence[Score], translation: str) -> Table:
+    """Mean / median of the main figures, for the terminal."""
+    figures = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg", "vertical_flow_px")
+    table = Table("", *figures, "failures", title=f"t = {translation}: mean / median")
+    for (method, t), group in tables.grouped(scores).items():
+        if t == translation:
+            found = (tables.summary(group, f) for f in figures)
+            cells = ["–" if s is None else f"{s.mean:.3f} / {s.median:.3f}" for s in found]
+            table.add_row(method, *cells, str(tables.failures(group)))
+    return table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
+    options = tyro.cli(EvaluateOptions, args=arguments, prog="flowrect.evaluate")
+    console = Console(highlight=False)
+    try:
+        scores = evaluate(options, console)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    if options.out is not None:
-        options.out.write_text("".join(json.dumps(r) + "\n" for r in records), encoding="utf-8")
-    title = (
-        f"{len(records)} pairs, {options.split}, t = {options.translation}: mean / median [95 %]"
-    )
-    Console(width=180).print(table(records, title))
+    except KeyboardInterrupt:
+        console.print(f"interrupted: the same command goes on from {options.out}.", soft_wrap=True)
+        return 130
+    for translation in options.translations:
+        console.print(shown(scores, translation))
+    console.print(f"written: {options.out}/tables.md, summary.csv, scores.csv", soft_wrap=True)
     return 0
 
 

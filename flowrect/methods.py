@@ -140,7 +140,12 @@ METHODS: dict[str, Callable[[], Method]] = {
 
 
 def load_method(name: str) -> Method:
-    """The method of that name; UserError if there is none, or it lacks its weights."""
+    """The method of that name, or the network of ``network=FILE``.
+
+    UserError if there is none, or it lacks its weights.
+    """
+    if name.startswith("network="):
+        return Network(name.removeprefix("network="))
     if name not in METHODS:
         raise UserError(f"method {name!r}: expected one of {', '.join(METHODS)}.")
     return METHODS[name]()

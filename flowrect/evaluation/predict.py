@@ -1,0 +1,209 @@
+"""First pass: every method on every pair, in a process of its own that may be stopped.
+
+A method that raises, or takes longer than it may, costs that pair only: the failure is recorded
+and the run goes on. Matches are found once per pair and matcher, and kept in files. What is done
+is not done again.
+"""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pebble import ProcessExpired, ProcessPool
+
+from flowrect.evaluation import predictions
+from flowrect.evaluation.delivered import Delivered, Delivery, Translation, prior
+from flowrect.evaluation.predictions import Prediction
+from flowrect.matchers import load_matcher
+from flowrect.matches import Matches
+from flowrect.methods import FromMatches, Method, PoseEstimate, Seconds, load_method
+from flowrect.sample import Pair, Prepared
+from flowrect.solvers import NoSolution
+from simgen.errors import UserError
+from simgen.geometry import Array
+from simgen.shards import write_atomically
+
+FLUSH_S = 10.0
+"""between two writings of what was predicted"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is to be predicted, and where it goes."""
+
+    delivery: Delivery
+    methods: tuple[str, ...]
+    translations: tuple[Translation, ...]
+    out: Path
+    time_limit_s: float = 120.0
+    """that a method may take for one pair, the first time with what it loads"""
+    jobs: int = 1
+    """processes"""
+
+    def path(self, method: str, translation: Translation) -> Path:
+        """Where a method's predictions are."""
+        name = method.replace("/", "_").replace("=", "-")
+        return self.out / "predictions" / f"{name}.{translation}.h5"
+
+
+@dataclass
+class _File:
+    """The predictions of one method under work."""
+
+    path: Path
+    method: str
+    translation: Translation
+    rows: dict[int, Prediction] = field(default_factory=dict)
+
+
+Report = Callable[[int, int], None]
+"""called with tasks done, and of all"""
+
+
+def predict(run: Run, report: Report = lambda done, of: None) -> dict[str, str]:
+    """Predicts what is missing; returns why methods that cannot run here cannot."""
+    pairs = run.delivery.open()
+    files = _files(run, pairs.fingerprint)
+    todo = [(i, f) for i in range(len(pairs)) for f in files if i not in f.rows]
+    unavailable: dict[str, str] = {}
+    done, of = len(pairs) * len(files) - len(todo), len(pairs) * len(files)
+    report(done, of)
+    written = time.monotonic()
+    try:
+        for file, row in _predicted(run, pairs.fingerprint, todo, unavailable):
+            file.rows[row.index] = row
+            done += 1
+            report(done, of)
+            if time.monotonic() - written > FLUSH_S:
+                _flush(files, pairs.fingerprint)
+                written = time.monotonic()
+    finally:
+        _flush(files, pairs.fingerprint)
+    return unavailable
+
+
+def _files(run: Run, fingerprint: str) -> list[_File]:
+    found = []
+    for method in run.methods:
+        for translation in run.translations:
+            path = run.path(method, translation)
+            rows = predictions.read(path, data=fingerprint) if path.exists() else []
+            found.append(_File(path, method, translation, {r.index: r for r in rows}))
+    return found
+
+
+def _flush(files: Sequence[_File], fingerprint: str) -> None:
+    for file in files:
+        if file.rows:
+            predictions.write(file.path, file.rows.values(), method=file.method, data=fingerprint)
+
+
+def _predicted(
+    run: Run, data: str, todo: Sequence[tuple[int, _File]], unavailable: dict[str, str]
+) -> Iterator[tuple[_File, Prediction]]:
+    """Predictions as they come; pair by pair, so that each pair is read once."""
+    folder = run.out / "matches" / data
+    queue, running = deque(todo), deque[tuple[Any, int, _File]]()
+    context = multiprocessing.get_context("spawn")
+    with ProcessPool(max_workers=run.jobs, context=context) as pool:
+        while queue or running:
+            while queue and len(running) < run.jobs:
+                i, file = queue.popleft()
+                if file.method not in unavailable:
+                    args = (run.delivery, file.method, file.translation, i, folder)
+                    future = pool.schedule(_predict_one, args=args, timeout=run.time_limit_s)
+                    running.append((future, i, file))
+            if running:
+                future, i, file = running.popleft()
+                row = _settled(future, i, run.time_limit_s)
+                if isinstance(row, Prediction):
+                    yield file, row
+                else:
+                    unavailable[file.method] = row
+
+
+def _settled(future: Any, i: int, time_limit_s: float) -> Prediction | str:
+    """The prediction, or why the method cannot run at all."""
+    try:
+        result: Prediction | str = future.result()
+        return result
+    except TimeoutError:
+        return Prediction(i, "", None, f"took longer than {time_limit_s:g} s and was stopped")
+    except ProcessExpired as error:
+        return Prediction(i, "", None, f"its process died ({error})")
+
+
+# --- in the process ------------------------------------------------------------------------------
+
+
+def _predict_one(
+    delivery: Delivery, name: str, translation: Translation, i: int, folder: Path
+) -> Prediction | str:
+    """One method on one pair; a text if the method cannot run here, for want of weights."""
+    prepared = _pair(delivery, i)
+    pair = prepared.input
+    try:
+        method = _method(name)
+    except UserError as error:
+        return str(error)
+    try:
+        estimate = _estimated(method, pair, prior(pair, translation), folder, i)
+        return Prediction(i, pair.name, estimate)
+    except (NoSolution, UserError) as error:
+        return Prediction(i, pair.name, None, str(error))
+    except Exception as error:  # whatever it is, it is this method's failure on this pair
+        return Prediction(i, pair.name, None, f"{type(error).__name__}: {error}")
+
+
+def _estimated(method: Method, pair: Pair, start: Array, folder: Path, i: int) -> PoseEstimate:
+    args = pair.K_left, pair.K_right, start
+    if not isinstance(method, FromMatches):
+        return method(pair.left, pair.right, *args)
+    matches, spent = _matches(folder / method.matcher / f"{i:06d}.npz", method.matcher, pair)
+    began = method.start(pair.left, pair.right, *args)
+    seconds = Seconds({"matching": spent, **began.seconds})
+    return method.solved(matches, pair.K_left, pair.K_right, began, seconds)
+
+
+@lru_cache(maxsize=1)
+def _delivered(delivery: Delivery) -> Delivered:
+    return delivery.open()
+
+
+@lru_cache(maxsize=1)
+def _pair(delivery: Delivery, i: int) -> Prepared:
+    return _delivered(delivery)[i]
+
+
+@cache
+def _method(name: str) -> Method:
+    method = load_method(name)
+    if isinstance(method, FromMatches):
+        load_matcher(method.matcher)  # says now if its weights are missing
+    return method
+
+
+def _matches(path: Path, matcher: str, pair: Pair) -> tuple[Matches, float]:
+    """The matches of a pair and the seconds that they took, from their file if there is one."""
+    if path.exists():
+        with np.load(path) as file:
+            found = Matches(file["uv_left"], file["uv_right"], file["score"])
+            return found, float(file["seconds"])
+    seconds = Seconds()
+    with seconds.of("matching"):
+        found = load_matcher(matcher)(pair.left, pair.right)
+    memory = io.BytesIO()
+    np.savez(memory, uv_left=found.uv_left, uv_right=found.uv_right, score=found.score,
+             seconds=seconds["matching"])  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, memory.getvalue())
+    return found, seconds["matching"]

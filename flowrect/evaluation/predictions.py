@@ -1,0 +1,113 @@
+"""Predictions of one method in one HDF5 file: written once, scored as often as wanted.
+
+One row a pair. A row whose ``failure`` is not empty has no pose: the method raised, found no
+solution, or took too long, and the text says which.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from flowrect.methods import PoseEstimate
+from simgen.errors import UserError
+from simgen.geometry import Array
+from simgen.shards import write_atomically
+
+FORMAT = "flowrect-predictions-1"
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a method said of one pair."""
+
+    index: int
+    """of the pair among those delivered"""
+    name: str
+    estimate: PoseEstimate | None
+    failure: str = ""
+    """why there is no estimate"""
+
+
+def write(path: Path, rows: Iterable[Prediction], *, method: str, data: str) -> None:
+    """Writes all rows atomically.
+
+    Args:
+      data: fingerprint of the delivered pairs.
+    """
+    rows = sorted(rows, key=lambda r: r.index)
+    estimates = [r.estimate or _NOTHING for r in rows]
+    memory = io.BytesIO()
+    with h5py.File(memory, "w") as file:
+        file.attrs.update(format=FORMAT, method=method, data=data)
+        file["index"] = np.array([r.index for r in rows], dtype=np.int64)
+        file["R"] = np.array([e.R for e in estimates]).reshape(-1, 3, 3)
+        file["t"] = np.array([e.t for e in estimates]).reshape(-1, 3)
+        file["covariance"] = np.array([_or_nan(e.covariance) for e in estimates]).reshape(-1, 5, 5)
+        for name in ("num_matches", "num_inliers"):
+            counts = [getattr(e, name) for e in estimates]
+            file[name] = np.array([-1 if n is None else n for n in counts], dtype=np.int64)
+        texts = {
+            "name": [r.name for r in rows],
+            "failure": [r.failure for r in rows],
+            "seconds": [json.dumps(e.seconds) for e in estimates],
+            "notes": [json.dumps(e.notes) for e in estimates],
+        }
+        for name, values in texts.items():
+            file.create_dataset(name, data=values, dtype=h5py.string_dtype("utf-8"),
+                                shape=(len(values),))  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, memory.getvalue())
+
+
+_NOTHING = PoseEstimate(np.full((3, 3), np.nan), np.full(3, np.nan))
+
+
+def _or_nan(covariance: Array | None) -> Array:
+    return np.full((5, 5), np.nan) if covariance is None else covariance
+
+
+def read(path: Path, *, data: str) -> list[Prediction]:
+    """The rows of a file; UserError if they are of other pairs, or it is no such file."""
+    try:
+        with h5py.File(path, "r") as file:
+            attributes = dict(file.attrs)
+            arrays = {k: file[k][:] for k in ("index", "R", "t", "covariance", "num_matches",
+                                              "num_inliers")}  # fmt: skip
+            texts = {k: file[k].asstr()[:] for k in ("name", "failure", "seconds", "notes")}
+    except (OSError, KeyError) as error:
+        raise UserError(
+            f"{path}: no predictions of flowrect.evaluate ({error}). Delete it: they are made anew."
+        ) from error
+    if attributes.get("format") != FORMAT or attributes.get("data") != data:
+        raise UserError(
+            f"{path}: predictions for other pairs, another size, or of another version. Choose "
+            "another --out, or delete this folder."
+        )
+    return [_row(i, arrays, texts) for i in range(len(arrays["index"]))]
+
+
+def _row(i: int, arrays: dict[str, Array], texts: dict[str, list[str]]) -> Prediction:
+    index, name, failure = int(arrays["index"][i]), str(texts["name"][i]), str(texts["failure"][i])
+    if failure:
+        return Prediction(index, name, None, failure)
+    covariance = arrays["covariance"][i]
+    num_matches, num_inliers = (
+        n if (n := int(arrays[k][i])) >= 0 else None for k in ("num_matches", "num_inliers")
+    )
+    estimate = PoseEstimate(
+        arrays["R"][i],
+        arrays["t"][i],
+        None if np.isnan(covariance).any() else covariance,
+        num_matches,
+        num_inliers,
+        seconds=json.loads(texts["seconds"][i]),
+        notes=tuple(json.loads(texts["notes"][i])),
+    )
+    return Prediction(index, name, estimate)

@@ -1,0 +1,189 @@
+"""Second pass: predictions to figures, pair by pair; see CONVENTIONS.md for what each one means.
+
+A pair for which a method failed is scored with the prior, which is what its user is left with, and
+counted: a method cannot better its mean by giving up. Rectified images are 512×256.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowrect.drectify import Rectification, rectify, warp
+from flowrect.evaluation.delivered import Delivered, Translation, prior
+from flowrect.evaluation.predictions import Prediction
+from flowrect.matches import Matcher
+from flowrect.methods import PoseEstimate
+from flowrect.metrics import (
+    METRIC_WH,
+    angles_deg,
+    disparity_bias,
+    exact_vertical_flow,
+    geodesic_deg,
+    rectified_image_error,
+    unrectified_vertical_flow,
+)
+from flowrect.sample import Batch, Image, collate
+
+TRUTH, UNRECTIFIED = "truth", "unrectified"
+BIAS_EVERY = 31
+"""every so many-th left pixel is enough for a bias, which is smooth"""
+FIGURES = {
+    "pitch_deg": "|error| about the right camera's x",
+    "yaw_deg": "|error| about the right camera's y",
+    "roll_deg": "|error| about the right camera's z",
+    "geodesic_deg": "angle between the true rotation and the estimate",
+    "vertical_flow_px": "exact: mean |v_right - v_left| over all native left pixels",
+    "disparity_bias_px": "mean of disparity minus true disparity",
+    "mae_paper": "mean |difference| to the truly rectified pair, both views summed, borders too",
+    "mae_valid": "the same per view and pixel, where both rectifications show image",
+}
+"""of every pair"""
+MATCH_FIGURES = {
+    "offset_px": "mean |dy| of all matches in the rectified pair, as the paper has it",
+    "offset_median_px": "its median",
+}
+"""of the pairs that are also matched after rectification, for each matcher that is asked for"""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Figures of one method on one pair."""
+
+    method: str
+    translation: Translation
+    index: int
+    name: str
+    scene: str
+    weather: str
+    daylight: str
+    figures: Mapping[str, float]
+    """NaN where there is none"""
+    failure: str = ""
+    num_matches: int | None = None
+    seconds: float = 0.0
+
+
+Rows = Mapping[tuple[str, Translation], Mapping[int, Prediction]]
+"""predictions by method, translation and pair"""
+
+
+def scored(
+    pairs: Delivered,
+    rows: Rows,
+    translations: Sequence[Translation],
+    *,
+    matchers: Mapping[str, Matcher],
+    matched: Sequence[int],
+) -> Iterator[list[Score]]:
+    """Scores of all methods, pair by pair.
+
+    Args:
+      matchers: by name, that measure what is left between rectified images.
+      matched: indices of the pairs for which they do.
+    """
+    for i in range(len(pairs)):
+        prepared = pairs[i]
+        batch = collate([prepared])
+        look = dict(matchers) if i in set(matched) else {}
+        found = []
+        for translation in translations:
+            start = prior(prepared.input, translation)
+            nominal = PoseEstimate(start[:3, :3], start[:3, 3])
+            assert prepared.input.T_right_left is not None
+            T = prepared.input.T_right_left
+            t_true = start[:3, 3] if translation == "nominal" else T[:3, 3]
+            own = {UNRECTIFIED: nominal, TRUTH: PoseEstimate(T[:3, :3], t_true)}
+            for method in [UNRECTIFIED, *_methods(rows, translation), TRUTH]:
+                row = rows.get((method, translation), {}).get(i)
+                if row is None and method not in own:
+                    continue
+                estimate = own.get(method) or (row.estimate if row else None)
+                figures = _figures(batch, estimate or nominal, translation, method, look)
+                p = prepared.input
+                found.append(Score(
+                    method, translation, i, p.name, p.scene, p.weather, p.daylight, figures,
+                    row.failure if row else "",
+                    estimate.num_matches if estimate else None,
+                    sum(estimate.seconds.values()) if estimate else 0.0,
+                ))  # fmt: skip
+        yield found
+
+
+def _methods(rows: Rows, translation: Translation) -> list[str]:
+    return [m for m, t in rows if t == translation and m not in (UNRECTIFIED, TRUTH)]
+
+
+@torch.inference_mode()
+def _figures(
+    batch: Batch,
+    estimate: PoseEstimate,
+    translation: Translation,
+    method: str,
+    matchers: Mapping[str, Matcher],
+) -> dict[str, float]:
+    """All figures of one estimate; t = gt replaces the estimate's own t by the true one."""
+    assert batch.R is not None
+    assert batch.t is not None
+    K_left, K_right = batch.K_left_metric, batch.K_right_metric
+    nominal = rectify(batch.R_nominal, batch.t_nominal, K_left, K_right, METRIC_WH)
+    t = batch.t if translation == "gt" else _tensor(estimate.t)
+    R = _tensor(estimate.R)
+    rect = rectify(R, t, K_left, K_right, METRIC_WH)
+    one_scale = rectify(R, t, K_left, K_right, METRIC_WH, K_new=nominal.K_new)
+    exact = rectify(batch.R, batch.t, K_left, K_right, METRIC_WH, K_new=nominal.K_new)
+    views = batch.left_metric, batch.right_metric, K_left, K_right
+    error = rectified_image_error(*views, one_scale, exact)
+    pitch, yaw, roll = angles_deg(batch.R, R)[0].abs().tolist()
+    found = {
+        "pitch_deg": pitch, "yaw_deg": yaw, "roll_deg": roll,
+        "geodesic_deg": geodesic_deg(batch.R, R).item(),
+        "vertical_flow_px": np.nan, "disparity_bias_px": np.nan,
+        "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
+    }  # fmt: skip
+    if method == UNRECTIFIED:
+        black = (torch.cat(views[:2]) - torch.cat(_views(batch, exact))).abs().mean()
+        found |= {"mae_paper": 2 * black.item(), "mae_valid": np.nan}
+    if batch.truth is not None:
+        some = batch.truth.subset(slice(None, None, BIAS_EVERY))
+        found["disparity_bias_px"] = disparity_bias(one_scale, exact, some).item()
+        found["vertical_flow_px"] = (
+            unrectified_vertical_flow(batch.truth, K_left, K_right, nominal.vertical).item()
+            if method == UNRECTIFIED
+            else exact_vertical_flow(rect, batch.truth).item()
+        )
+    shown = views[:2] if method == UNRECTIFIED else _views(batch, rect)
+    for name, matcher in matchers.items():
+        found |= _offsets(name, matcher, shown, bool(nominal.vertical))
+    return found
+
+
+def _tensor(x: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.asarray(x, dtype=np.float64))[None]
+
+
+def _views(batch: Batch, rect: Rectification) -> tuple[Tensor, Tensor]:
+    """Both images (1, 3, h, w), rectified."""
+    left, _ = warp(batch.left_metric, batch.K_left_metric, rect.R_left, rect.K_new, METRIC_WH)
+    right, _ = warp(batch.right_metric, batch.K_right_metric, rect.R_right, rect.K_new, METRIC_WH)
+    return left, right
+
+
+def _offsets(
+    name: str, matcher: Matcher, shown: tuple[Tensor, Tensor], vertical: bool
+) -> dict[str, float]:
+    """Mean and median |dy| of matches (|dx| of a vertical rig); NaN if there are none."""
+    matches = matcher(*(_image(x) for x in shown))
+    across = np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1])
+    if not len(across):
+        return {f"{name}_{key}": np.nan for key in MATCH_FIGURES}
+    figures = float(across.mean()), float(np.median(across))
+    return {f"{name}_{key}": x for key, x in zip(MATCH_FIGURES, figures, strict=True)}
+
+
+def _image(x: Tensor) -> Image:
+    return (x[0] * 255).round().clamp(0, 255).byte().permute(1, 2, 0).numpy()

@@ -1,0 +1,209 @@
+"""Scores as files to work on and to read: CSV, and Markdown in the layout of Table 2."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from flowrect.evaluation.scores import Score
+from flowrect.metrics import Summary, summarise
+
+COLUMNS = ("method", "translation", "index", "name", "scene", "weather", "daylight", "failure",
+           "num_matches", "seconds")  # fmt: skip
+"""of scores.csv, before the figures"""
+Group = tuple[str, str]
+"""method, translation"""
+
+
+def grouped(scores: Iterable[Score]) -> dict[Group, list[Score]]:
+    """Scores by method and translation, in their order."""
+    groups: dict[Group, list[Score]] = {}
+    for score in scores:
+        groups.setdefault((score.method, score.translation), []).append(score)
+    return groups
+
+
+def figure_names(scores: Sequence[Score]) -> list[str]:
+    """All figures that any score has."""
+    return list(dict.fromkeys(name for s in scores for name in s.figures))
+
+
+def summary(scores: Sequence[Score], figure: str) -> Summary | None:
+    """Over the pairs that have the figure; None if none has."""
+    known = [s for s in scores if np.isfinite(s.figures.get(figure, np.nan))]
+    if not known:
+        return None
+    values = [abs(s.figures[figure]) for s in known]
+    return summarise(values, [s.scene for s in known], rng=np.random.default_rng(0))
+
+
+def failures(scores: Sequence[Score]) -> int:
+    """Pairs without an estimate."""
+    return sum(bool(s.failure) for s in scores)
+
+
+# --- CSV ---------------------------------------------------------------------------------------
+
+
+def write_scores(path: Path, scores: Sequence[Score]) -> None:
+    """One line a pair, method and translation."""
+    names = figure_names(scores)
+    rows = []
+    for score in scores:
+        flat = asdict(score)
+        rows.append([flat[c] for c in COLUMNS] + [score.figures.get(n, np.nan) for n in names])
+    path.write_text(_csv([*COLUMNS, *names], rows), encoding="utf-8")
+
+
+def write_summary(path: Path, scores: Sequence[Score]) -> None:
+    """One line a method, translation and figure."""
+    rows = []
+    for (method, translation), group in grouped(scores).items():
+        for figure in figure_names(scores):
+            if (s := summary(group, figure)) is not None:
+                low, high = s.interval
+                rows.append([method, translation, figure, s.mean, s.median, s.p95, low, high,
+                             s.num, failures(group)])  # fmt: skip
+    head = ["method", "translation", "figure", "mean", "median", "p95", "low", "high", "pairs",
+            "failures"]  # fmt: skip
+    path.write_text(_csv(head, rows), encoding="utf-8")
+
+
+def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+# --- Markdown ----------------------------------------------------------------------------------
+
+Cell = Callable[[Sequence[Score]], str]
+
+
+def _mean(figure: str, digits: int = 3) -> Cell:
+    def cell(scores: Sequence[Score]) -> str:
+        s = summary(scores, figure)
+        return "–" if s is None else f"{s.mean:.{digits}f}"
+
+    return cell
+
+
+def _mean_and_interval(figure: str, digits: int = 3) -> Cell:
+    def cell(scores: Sequence[Score]) -> str:
+        s = summary(scores, figure)
+        if s is None:
+            return "–"
+        return f"{s.mean:.{digits}f} [{s.interval[0]:.{digits}f}, {s.interval[1]:.{digits}f}]"
+
+    return cell
+
+
+def _median(figure: str, digits: int = 3) -> Cell:
+    def cell(scores: Sequence[Score]) -> str:
+        s = summary(scores, figure)
+        return "–" if s is None else f"{s.median:.{digits}f}"
+
+    return cell
+
+
+def _failures(scores: Sequence[Score]) -> str:
+    return str(failures(scores)) if failures(scores) else "0"
+
+
+def columns(names: Sequence[str]) -> dict[str, Cell]:
+    """The columns of Table 2 that these figures fill, in the paper's order, then ours."""
+    offsets = [n.removesuffix("_offset_px") for n in names if n.endswith("_offset_px")]
+    of_matchers = {
+        f"{m} offset [px], mean / median": _both(f"{m}_offset_px", f"{m}_offset_median_px")
+        for m in offsets
+    }
+    return {
+        **of_matchers,
+        "vertical flow [px]": _mean_and_interval("vertical_flow_px"),
+        "median": _median("vertical_flow_px"),
+        "MAE, paper": _mean("mae_paper"),
+        "MAE, valid": _mean("mae_valid"),
+        "pitch [°]": _mean("pitch_deg"),
+        "yaw [°]": _mean("yaw_deg"),
+        "roll [°]": _mean("roll_deg"),
+        "geodesic [°]": _mean_and_interval("geodesic_deg"),
+        "median [°]": _median("geodesic_deg"),
+        "\\|disparity bias\\| [px]": _mean("disparity_bias_px"),
+        "failures": _failures,
+    }
+
+
+def _both(mean: str, median: str) -> Cell:
+    def cell(scores: Sequence[Score]) -> str:
+        return f"{_mean(mean, 2)(scores)} / {_mean(median, 2)(scores)}"
+
+    return cell
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def main_table(scores: Sequence[Score], translation: str, unavailable: dict[str, str]) -> str:
+    """All methods of one translation; those that could not run say why."""
+    cells = columns(figure_names(scores))
+    groups = {m: g for (m, t), g in grouped(scores).items() if t == translation}
+    rows = [[m, *(cell(g) for cell in cells.values())] for m, g in groups.items()]
+    rows += [[m, "no weights: " + why.replace("|", "/"), *[""] * (len(cells) - 1)]
+             for m, why in unavailable.items()]  # fmt: skip
+    return markdown(["method", *cells], rows)
+
+
+STRATA: dict[str, Callable[[Score], str]] = {
+    "weather": lambda s: s.weather,
+    "daylight": lambda s: s.daylight,
+}
+
+
+def stratum_table(scores: Sequence[Score], translation: str, by: str) -> str:
+    """Median vertical flow [px] / median geodesic error [°] (failures) of each stratum."""
+    key = STRATA[by]
+    groups = {m: g for (m, t), g in grouped(scores).items() if t == translation}
+    names = sorted({key(s) for s in scores if key(s)})
+    num = {n: len({s.index for s in scores if key(s) == n}) for n in names}
+    rows = []
+    for method, group in groups.items():
+        row = [method]
+        for name in names:
+            part = [s for s in group if key(s) == name]
+            failed = f" ({failures(part)})" if failures(part) else ""
+            flow, angle = _median("vertical_flow_px")(part), _median("geodesic_deg")(part)
+            row.append(f"{flow} / {angle}{failed}")
+        rows.append(row)
+    return markdown(["method", *(f"{n} ({num[n]})" for n in names)], rows)
+
+
+def document(
+    scores: Sequence[Score], unavailable: dict[str, str], title: str, translations: Sequence[str]
+) -> str:
+    """The whole of tables.md."""
+    pairs, scenes = len({s.index for s in scores}), len({s.scene for s in scores})
+    parts = [
+        f"# {title}\n",
+        f"{pairs} pairs of {scenes} scenes. Means, with 95 % bootstrap intervals over scenes. A "
+        "pair for which a method failed is scored with the prior, and counted under failures. "
+        "Figures in pixels are of 512x256 images.\n",
+    ]
+    for translation in translations:
+        what = "true t given" if translation == "gt" else "nominal t given; a method's own is used"
+        parts += [f"## t = {translation} ({what})\n", main_table(scores, translation, unavailable)]
+        for by in STRATA:
+            parts += [
+                f"### by {by}: median vertical flow [px] / median geodesic error [°] (failures)\n",
+                stratum_table(scores, translation, by),
+            ]
+    return "\n".join(parts)
