@@ -4,16 +4,17 @@ method = load_method("sift+5dof")
 estimate = method(left, right, K_left, K_right, prior)    # or raises NoSolution
 
 A method is a matcher with a solver (``MATCHER+SOLVER``), or a network that was trained for it, or
-both: ``network+5dof`` starts the fit at what the network says. Methods that do not estimate t
-return the prior's.
+both: ``network+5dof`` starts the fit at what the network says, and ends there if matches do not
+suffice. Methods that do not estimate t return the prior's.
 """
 
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Protocol
 
@@ -23,7 +24,7 @@ from flowrect.estimate import Calibrator, load_model
 from flowrect.matchers import MATCHERS, load_matcher
 from flowrect.matches import Matches
 from flowrect.sample import Image
-from flowrect.solvers import SOLVERS, Solver
+from flowrect.solvers import SOLVERS, NoSolution, Solver
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
@@ -79,21 +80,16 @@ def unrectified(
 class Network:
     """A trained network alone; t is the prior's."""
 
-    weights: str
+    model: Calibrator
 
     def __call__(
         self, left: Image, right: Image, K_left: Array, K_right: Array, prior: Array
     ) -> PoseEstimate:
         seconds = Seconds()
-        model = _calibrator(self.weights)
-        with seconds.of("network"):
-            estimate = model.estimate(left, right, K_left, K_right, prior)
+        with seconds.of("network"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they are in the notes
+            estimate = self.model.estimate(left, right, K_left, K_right, prior)
         return PoseEstimate(estimate.R, estimate.t, seconds=seconds, notes=estimate.notes)
-
-
-@cache
-def _calibrator(weights: str) -> Calibrator:
-    return load_model(weights)
 
 
 @dataclass(frozen=True)
@@ -118,34 +114,51 @@ class FromMatches:
     def solved(
         self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, seconds: Seconds
     ) -> PoseEstimate:
-        """From matches and a start that are there already; ``seconds`` is what they took."""
-        with seconds.of("solving"):
-            prior = transform(start.R, start.t)
-            solution = self.solver(matches, K_left, K_right, prior)
+        """From matches and a start that are there already; ``seconds`` is what they took.
+
+        Where matches do not suffice, what another method said stands, and is noted.
+        """
+        try:
+            with seconds.of("solving"):
+                solution = self.solver(matches, K_left, K_right, transform(start.R, start.t))
+        except NoSolution as error:
+            if self.start is unrectified:
+                raise
+            note = f"not refined by matches: {error}"
+            return replace(start, num_matches=len(matches), notes=(*start.notes, note),
+                           seconds=seconds)  # fmt: skip
         num_inliers = int(np.sum(solution.inliers))
         return PoseEstimate(solution.R, solution.t, solution.covariance, len(matches), num_inliers,
                             seconds, start.notes)  # fmt: skip
 
 
+_load_model = cache(load_model)
+
+
+def _with_network(name: str) -> Method:
+    """``network[=WEIGHTS][+SOLVER]``; without WEIGHTS the shipped ones."""
+    head, _, tail = name.rpartition("+")
+    solver = tail if head and tail in SOLVERS else ""
+    network = head if solver else name
+    start = Network(_load_model(network.partition("=")[2] or "small"))
+    return FromMatches(REFINED_BY, SOLVERS[solver], start) if solver else start
+
+
 METHODS: dict[str, Callable[[], Method]] = {
     "unrectified": lambda: unrectified,
-    "network": partial(Network, "small"),
-    **{
-        f"network+{s}": partial(FromMatches, REFINED_BY, SOLVERS[s], Network("small"))
-        for s in ("3dof", "5dof")
-    },
+    **{name: partial(_with_network, name) for name in ("network", "network+3dof", "network+5dof")},
     **{f"{m}+{s}": partial(FromMatches, m, SOLVERS[s]) for m in MATCHERS for s in SOLVERS},
 }
 """made when they are asked for: some take weights"""
 
 
 def load_method(name: str) -> Method:
-    """The method of that name, or the network of ``network=FILE``.
+    """The method of that name; ``network=FILE`` and ``network=FILE+SOLVER`` are names, too.
 
     UserError if there is none, or it lacks its weights.
     """
     if name.startswith("network="):
-        return Network(name.removeprefix("network="))
+        return _with_network(name)
     if name not in METHODS:
-        raise UserError(f"method {name!r}: expected one of {', '.join(METHODS)}.")
+        raise UserError(f"method {name!r}: expected one of {', '.join(METHODS)}, or network=FILE.")
     return METHODS[name]()

@@ -13,7 +13,6 @@ import json
 import os
 import shutil
 import sys
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -21,23 +20,26 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import cv2
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import track
 
 from flowrect.calibration import Calibration, Projections, projections
-from flowrect.estimate import Calibrator, Estimate, load_model
 from flowrect.files import read_json, read_rgb
 from flowrect.formats import kalibr, opencv, read_calibration, ros
+from flowrect.methods import Method, PoseEstimate, load_method
 from flowrect.overlay import View, draw_overlay
-from flowrect.quality import MIN_MATCHES, Matches, sift_matches
+from flowrect.quality import MIN_MATCHES, MatchedRays, sift_matches
 from flowrect.sample import Image
+from flowrect.solvers import NoSolution
 from flowrect.sources.folder import match_by_name
 from simgen.errors import UserError
+from simgen.geometry import Array, transform, vector_from_rotation
 
 ANGLES = ("pitch_deg", "yaw_deg", "roll_deg")
-SUMMARY = ("name", *ANGLES, "match_probability", "num_sift_matches", "before_px", "after_px",
-           "notes")  # fmt: skip
+SUMMARY = ("name", *ANGLES, "num_matches", "num_inliers", "num_sift_matches", "before_px",
+           "after_px", "notes")  # fmt: skip
 """columns of summary.csv"""
 
 
@@ -51,8 +53,13 @@ class RectifyOptions:
     """image of the right camera, or a folder with the same file names"""
     calib: tuple[Path, ...]
     """nominal calibration: OpenCV YAML, a Kalibr camchain, or two ROS camera_info (left, right)"""
+    method: str = "network+5dof"
+    """network+5dof: the network, then a fit of rotation and direction of t to SIFT and flow
+    matches; network: the network alone, which leaves t as given; MATCHER+SOLVER: matches alone. A
+    method that does not exist is answered by the list of those that do"""
     weights: str = "small"
-    """name of shipped weights, or a file of flowrect.train"""
+    """of the network, where the method has one: name of shipped weights, or a file of
+    flowrect.train"""
     out: Path = Path("rectified")
     """folder for the results, one folder a pair"""
     existing: Literal["refuse", "keep", "replace"] = "refuse"
@@ -72,12 +79,17 @@ class Quality:
     """What is known of how good an estimate is; angles in degrees, disparities in pixels."""
 
     name: str
-    weights: str
+    method: str
     correction_deg: tuple[float, float, float]
     """of R against the given calibration, about the right camera's x, y, z"""
-    match_probability: float
-    """mean probability of the network's best matches, 0..1"""
+    sigma_deg: tuple[float, float, float] | None
+    """standard deviation of these, from the fit to matches; None if the method knows none"""
+    num_matches: int | None
+    """that the method found"""
+    num_inliers: int | None
+    """that agree with the estimate"""
     num_sift_matches: int
+    """of the check, see flowrect.quality"""
     before_px: float | None
     """median |vertical disparity| of the SIFT matches, rectified by the given calibration"""
     after_px: float | None
@@ -95,30 +107,33 @@ class Rectified:
 
     rig: Calibration
     """corrected"""
-    estimate: Estimate
+    rectification: Projections
     left: Image
     right: Image
     overlay: Image
     quality: Quality
 
 
-def rectify_pair(model: Calibrator, weights: str, rig: Calibration, files: PairFiles) -> Rectified:
+def rectify_pair(method: Method, name: str, rig: Calibration, files: PairFiles) -> Rectified:
     """Estimates the pose of a pair and rectifies it.
 
     Args:
-      weights: what the model is called in ``Quality``.
+      name: what the method is called in ``Quality``.
       rig: nominal; its lens distortion is undone first.
+
+    Raises UserError if the files are no pair of this rig, or the method finds no pose.
     """
     left, right = read_rgb(files.left), read_rgb(files.right)
     for path, image in ((files.left, left), (files.right, right)):
         rig.require_size((image.shape[1], image.shape[0]), str(path))
     straight = rig.undistorted(left, right)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they are in estimate.notes
-        estimate = model.estimate(*straight, rig.K_left, rig.K_right, rig.T_right_left)
-    nominal = projections(rig.T_right_left, rig.K_left, rig.K_right, rig.wh)
+    pose = _estimated(method, rig, *straight)
+    nominal, estimate = (
+        projections(T, rig.K_left, rig.K_right, rig.wh)
+        for T in (rig.T_right_left, transform(pose.R, pose.t))
+    )
     matches = sift_matches(*straight, rig.K_left, rig.K_right)
-    quality = _quality(files.name, weights, estimate, nominal, matches)
+    quality = _quality(files.name, name, rig, pose, matches, (nominal, estimate))
     rectified = rig.rectified(left, right, estimate)
     overlay = draw_overlay(
         f"{files.name}: turned by {_axes(quality)}; {len(matches)} SIFT matches",
@@ -134,21 +149,50 @@ def rectify_pair(model: Calibrator, weights: str, rig: Calibration, files: PairF
         ),
         vertical=estimate.vertical,
     )
-    corrected = rig.with_pose(estimate.R, estimate.t)
+    corrected = rig.with_pose(pose.R, pose.t)
     return Rectified(corrected, estimate, *rectified, overlay, quality)
 
 
+def _estimated(method: Method, rig: Calibration, left: Image, right: Image) -> PoseEstimate:
+    if np.array_equal(left, right):
+        raise UserError("the two images are identical; expected a left and a right view.")
+    try:
+        return method(left, right, rig.K_left, rig.K_right, rig.T_right_left)
+    except NoSolution as error:
+        raise UserError(f"no pose found: {error}") from error
+
+
 def _quality(
-    name: str, weights: str, estimate: Estimate, nominal: Projections, matches: Matches
+    name: str,
+    method: str,
+    rig: Calibration,
+    pose: PoseEstimate,
+    matches: MatchedRays,
+    rectifications: tuple[Projections, Projections],
 ) -> Quality:
-    before, after = (matches.median_vertical_disparity(x) for x in (nominal, estimate))
-    pitch, yaw, roll = map(float, estimate.correction_deg)
-    notes = (*estimate.notes, *_disparity_notes(before, after, len(matches)))
+    before, after = (matches.median_vertical_disparity(x) for x in rectifications)
+    turn = np.rad2deg(vector_from_rotation(pose.R @ rig.T_right_left[:3, :3].T))
     return Quality(
-        name=name, weights=weights, correction_deg=(pitch, yaw, roll),
-        match_probability=estimate.match_probability, num_sift_matches=len(matches),
-        before_px=before, after_px=after, notes=notes,
-    )  # fmt: skip
+        name=name,
+        method=method,
+        correction_deg=_three(turn),
+        sigma_deg=None if pose.covariance is None else _three(_sigma_deg(pose.covariance)),
+        num_matches=pose.num_matches,
+        num_inliers=pose.num_inliers,
+        num_sift_matches=len(matches),
+        before_px=before,
+        after_px=after,
+        notes=(*pose.notes, *_disparity_notes(before, after, len(matches))),
+    )
+
+
+def _sigma_deg(covariance: Array) -> Array:
+    return np.rad2deg(np.sqrt(np.diag(covariance)[:3]))
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 def _disparity_notes(before: float | None, after: float | None, num: int) -> list[str]:
@@ -166,9 +210,9 @@ def write_result(folder: Path, result: Rectified) -> list[str]:
     """Writes the files of a pair; returns a note for each format that cannot hold the rig."""
     for name in ("left", "right", "overlay"):
         write_rgb(folder / f"{name}.png", getattr(result, name))
-    rig, estimate = result.rig, result.estimate
-    opencv.write(folder / "opencv.yaml", rig, estimate)
-    ros.write(folder / "ros_left.yaml", folder / "ros_right.yaml", rig, estimate)
+    rig, rectification = result.rig, result.rectification
+    opencv.write(folder / "opencv.yaml", rig, rectification)
+    ros.write(folder / "ros_left.yaml", folder / "ros_right.yaml", rig, rectification)
     reason = kalibr.unwritable(rig)
     if not reason:
         kalibr.write(folder / "camchain.yaml", rig)
@@ -249,13 +293,13 @@ def run(options: RectifyOptions, console: Console) -> int:
         console.print(f"kept: {len(pairs) - len(todo)} of {len(pairs)} pairs have a result already")
     h, w = read_rgb(pairs[0].left).shape[:2]
     rig = read_calibration(options.calib, (w, h))
-    model = load_model(options.weights)
+    method = load_method(_with_weights(options))
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
     try:
         for pair in track(todo, "rectifying", console=console, disable=len(todo) < 2):
             try:
-                result = rectify_pair(model, options.weights, rig, pair)
+                result = rectify_pair(method, options.method, rig, pair)
                 with complete_or_absent(options.out / pair.name) as folder:
                     lacks = write_result(folder, result)
             except UserError as error:
@@ -268,6 +312,12 @@ def run(options: RectifyOptions, console: Console) -> int:
     summary = f"rectified: {len(todo) - failed} of {len(todo)} pairs, in {options.out}"
     console.print(summary, soft_wrap=True)
     return failed
+
+
+def _with_weights(options: RectifyOptions) -> str:
+    """The method's name with the weights that are asked for."""
+    head, plus, solver = options.method.partition("+")
+    return f"network={options.weights}{plus}{solver}" if head == "network" else options.method
 
 
 def _say(console: Console, quality: Quality, lacks: Sequence[str]) -> None:

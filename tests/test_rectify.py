@@ -20,11 +20,14 @@ from flowrect.calibration import Calibration, projections
 from flowrect.estimate import Calibrator
 from flowrect.files import read_rgb
 from flowrect.formats import opencv, read_calibration
+from flowrect.matchers import sift
+from flowrect.methods import FromMatches, Network
 from flowrect.model import Prediction, Rectifier
 from flowrect.overlay import TILE_PX, View, choose_matches, draw_overlay
-from flowrect.quality import MIN_MATCHES, Matches, sift_matches
+from flowrect.quality import MIN_MATCHES, MatchedRays, sift_matches
 from flowrect.rectify import PairFiles, main, rectify_pair, write_rgb
 from flowrect.sample import Image
+from flowrect.solvers import SOLVERS
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
@@ -34,6 +37,7 @@ K = np.array([[210.0, 0, 203.0], [0, 212.0, 117.0], [0, 0, 1]])
 DIST = np.array([-0.2, 0.05, 0.001, -0.001, 0.0])
 NOMINAL = transform(np.eye(3), np.array([-0.4, 0.0, 0.0]))
 TURN = Rotation.from_rotvec([1.1, -0.8, 0.9], degrees=True).as_matrix()
+NEARLY = Rotation.from_rotvec([0.7, -0.4, 0.6], degrees=True).as_matrix()
 RIG = Calibration(K, K, NOMINAL, WH)
 LENS = replace(RIG, dist_left=DIST, dist_right=0.5 * DIST)
 VERTICAL = replace(RIG, T_right_left=transform(np.eye(3), np.array([0.0, -0.4, 0.0])))
@@ -104,10 +108,10 @@ class Knowing(Rectifier):
         return replace(super().forward(*inputs), R=torch.from_numpy(self.R)[None])
 
 
-def knowing(R: Array) -> Calibrator:
+def knowing(R: Array) -> Network:
     net = Knowing(TINY_PAPER).eval()
     net.R = R
-    return Calibrator(net, CARD)
+    return Network(Calibrator(net, CARD))
 
 
 @pytest.fixture
@@ -129,7 +133,7 @@ def folders(tmp_path: Path) -> Path:
 
 def command(folder: Path, *more: object, left: str = "left", right: str = "right") -> list[str]:
     files = [folder / left, folder / right, "--calib", folder / "rig.yaml", "--out", folder / "out"]
-    weights = ["--weights", folder / "tiny.safetensors"]
+    weights = ["--method", "network", "--weights", folder / "tiny.safetensors"]
     return [str(x) for x in (*files, *weights, *more)]
 
 
@@ -145,7 +149,7 @@ def summary(folder: Path) -> list[dict[str, str]]:
 def test_the_true_rotation_aligns_the_rows_of_a_textured_pair(rig_name, tmp_path, worst):
     result = rectify_pair(knowing(TURN), "truth", RIGS[rig_name], take(tmp_path, rig_name))
     found = sift_matches(result.left, result.right, np.eye(3), np.eye(3))  # rays are pixels
-    across = (found.rays_right - found.rays_left)[:, 0 if result.estimate.vertical else 1]
+    across = (found.rays_right - found.rays_left)[:, 0 if result.rectification.vertical else 1]
     assert len(found) > 200
     worst("rows of a rectified pair, median by SIFT", np.median(np.abs(across)), 0.1)
     assert result.quality.after_px < 0.1 < 3 < result.quality.before_px
@@ -185,6 +189,31 @@ def test_a_lens_that_kalibr_cannot_hold_costs_its_file_and_is_said(tmp_path):
     assert not (tmp_path / "camchain.yaml").exists()
 
 
+def test_the_fit_mends_what_a_network_leaves_and_knows_how_well(tmp_path):
+    method = FromMatches("sift", SOLVERS["5dof"], start=knowing(NEARLY))
+    result = rectify_pair(method, "fitted", RIG, take(tmp_path))
+    error = Rotation.from_matrix(TURN @ result.rig.T_right_left[:3, :3].T).as_rotvec(degrees=True)
+    assert result.quality.sigma_deg is not None
+    assert (np.abs(error) < 4 * np.array(result.quality.sigma_deg)).all()
+    assert np.abs(error).max() < 0.1 < 0.4
+    t, true_t = result.rig.T_right_left[:3, 3], NOMINAL[:3, 3]
+    assert np.linalg.norm(np.cross(t, true_t)) < np.deg2rad(0.3) * (true_t @ true_t)
+    assert result.quality.num_inliers > 100
+    assert result.quality.notes == ()
+
+
+def test_what_a_network_says_stands_where_there_are_no_matches_and_is_noted(tmp_path):
+    files = take(tmp_path)
+    for path, grey in ((files.left, 100), (files.right, 101)):
+        write_rgb(path, np.full((*WH[::-1], 3), grey, np.uint8))
+    method = FromMatches("sift", SOLVERS["5dof"], start=knowing(TURN))
+    result = rectify_pair(method, "fitted", RIG, files)
+    np.testing.assert_allclose(result.rig.T_right_left[:3, :3], TURN, atol=1e-12)
+    assert any("not refined by matches: only 0 matches" in n for n in result.quality.notes)
+    with pytest.raises(UserError, match="no pose found: only 0 matches, expected at least 20"):
+        rectify_pair(FromMatches("sift", SOLVERS["5dof"]), "alone", RIG, files)
+
+
 def test_an_estimate_that_makes_rows_worse_is_noted(tmp_path):
     true = replace(RIG, T_right_left=pose_now(RIG))
     result = rectify_pair(knowing(np.eye(3)), "wrong", true, take(tmp_path))
@@ -205,18 +234,18 @@ def test_true_matches_have_no_vertical_disparity_and_wrong_ones_do_not_move_the_
     left = points(100, rng)
     right = left @ T[:3, :3].T + T[:3, 3]
     right[:30] = points(30, rng)
-    matches = Matches(left / left[:, 2:], right / right[:, 2:])
+    matches = MatchedRays(left / left[:, 2:], right / right[:, 2:])
     assert matches.median_vertical_disparity(projections(T, K, K, WH)) < 1e-9
     assert matches.median_vertical_disparity(projections(NOMINAL, K, K, WH)) > 2
 
 
 def test_too_few_matches_are_no_measurement():
     rays = np.ones((MIN_MATCHES - 1, 3))
-    assert Matches(rays, rays).median_vertical_disparity(projections(NOMINAL, K, K, WH)) is None
+    assert MatchedRays(rays, rays).median_vertical_disparity(projections(NOMINAL, K, K, WH)) is None
 
 
 def test_sift_finds_a_shift_at_full_size_though_it_looks_at_less(monkeypatch):
-    monkeypatch.setattr("flowrect.quality.MAX_PIXELS", 40_000)
+    monkeypatch.setattr(sift, "QUICK", replace(sift.QUICK, max_pixels=40_000))
     image = texture()[:300, :400]
     found = sift_matches(image[8:], image[:-8], np.eye(3), np.eye(3))
     shift = np.median(found.rays_right - found.rays_left, axis=0)

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from flowrect.matches import Matches
@@ -72,7 +73,7 @@ def fit(
             f"of the best pose; expected {options.min_inliers}, and {options.min_share:.0%}. Do "
             "both images show the same scene, and is the prior roughly right?"
         )
-    covariance = problem.covariance(x, options.scales_px[-1])
+    covariance = problem.covariance(x, options.scales_px[-1], inliers)
     return Solution(R, t, inliers, covariance)
 
 
@@ -118,19 +119,21 @@ class _Problem:
 
         return rho
 
-    def covariance(self, x: Array, scale: float) -> Array:
+    def covariance(self, x: Array, scale: float, inliers: NDArray[np.bool_]) -> Array:
         """(5, 5) of (ω, b) [rad²], about the solution; that of the prior for what is not fitted.
 
-        Gauss–Newton with Cauchy's weights; the noise of a match from the weighted residuals.
+        Source: P. Huber, *Robust Statistics*, 7.6: (JᵀJ)⁻¹ mean(ψ²) / mean(ψ')² of an M-estimator.
         """
-        r, num = self.residuals(x), len(self.matches)
-        J = np.stack([self.residuals(x + d) - self.residuals(x - d)
-                      for d in 1e-6 * np.eye(len(x))], axis=1) / 2e-6  # fmt: skip
-        weight = np.concatenate([1 / (1 + (r[:num] / scale) ** 2), np.ones(len(x))])
-        noise = (weight[:num] * r[:num] ** 2).sum() / weight[:num].sum()
-        weight[:num] /= noise
+        step = 1e-6 * np.eye(len(x))
+        r = self.residuals(x)[: len(inliers)][inliers]
+        J = np.stack([self.residuals(x + d) - self.residuals(x - d) for d in step], axis=1) / 2e-6
+        J = J[: len(inliers)][inliers]
+        q = (r / scale) ** 2
+        psi, slope = r / (1 + q), (1 - q) / (1 + q) ** 2
+        precision = J.T @ J * slope.mean() ** 2 / (psi**2).mean()
         full = np.diag(self.sigma**2)
-        full[: len(x), : len(x)] = np.linalg.inv((J * weight[:, None]).T @ J)
+        prior = np.diag(self.sigma[: len(x)] ** -2)
+        full[: len(x), : len(x)] = np.linalg.inv(precision + prior)
         return full
 
 

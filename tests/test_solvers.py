@@ -1,0 +1,140 @@
+"""Poses from matches: exact ones give the pose, noisy ones what theory allows, wrong ones none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from flowrect.matches import Matches
+from flowrect.methods import METHODS, load_method
+from flowrect.solvers import SOLVERS, NoSolution
+from flowrect.solvers.fit import FIVE_DOF, THREE_DOF, fit, sampson_px
+from simgen.errors import UserError
+from simgen.geometry import Array, project, transform
+
+WH = (1024, 512)
+K_LEFT = np.array([[512.0, 0, 511.5], [0, 512.0, 255.5], [0, 0, 1]])
+K_RIGHT = np.array([[530.0, 0, 500.0], [0, 528.0, 260.0], [0, 0, 1]])
+NOMINAL = transform(np.eye(3), np.array([-0.8, 0.0, 0.0]))
+TURN = Rotation.from_rotvec([0.9, -1.2, 0.7], degrees=True).as_matrix()
+TRUE = transform(TURN, TURN @ NOMINAL[:3, 3])  # the right camera turned about its own centre
+VERTICAL = transform(TURN, np.array([0.02, -0.8, 0.01]))
+ALL = ("loransac", "magsac", "3dof", "5dof")
+
+
+def seen(T: Array, num: int = 1000, noise_px: float = 0.0, wrong: float = 0.0, seed: int = 0):
+    """Matches of random points between 4 and 80 m."""
+    rng = np.random.default_rng(seed)
+    uv = rng.uniform(0, np.array(WH) - 1, (4 * num, 2))
+    depth = 1 / rng.uniform(1 / 80, 1 / 4, 4 * num)
+    points = np.column_stack([uv, np.ones(4 * num)]) @ np.linalg.inv(K_LEFT).T * depth[:, None]
+    uv_right = project(K_RIGHT, points @ T[:3, :3].T + T[:3, 3])
+    inside = ((uv_right >= 0) & (uv_right <= np.array(WH) - 1)).all(1)
+    uv, uv_right = uv[inside][:num], uv_right[inside][:num]
+    bad = rng.random(len(uv)) < wrong
+    uv_right[bad] = rng.uniform(0, np.array(WH) - 1, (bad.sum(), 2))
+    return Matches(uv + rng.normal(0, noise_px, uv.shape) if noise_px else uv,
+                   uv_right + rng.normal(0, noise_px, uv.shape) if noise_px else uv_right)  # fmt: skip
+
+
+def turn_deg(R: Array, T: Array) -> Array:
+    return Rotation.from_matrix(R @ T[:3, :3].T).as_rotvec(degrees=True)
+
+
+def away_deg(t: Array, T: Array) -> float:
+    t, s = t / np.linalg.norm(t), T[:3, 3] / np.linalg.norm(T[:3, 3])
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(t, s)), t @ s)))
+
+
+@pytest.mark.parametrize("solver", ALL)
+def test_exact_matches_give_the_exact_rotation(solver):
+    prior = TRUE.copy() if solver == "3dof" else NOMINAL.copy()
+    prior[:3, :3] = np.eye(3)
+    found = SOLVERS[solver](seen(TRUE), K_LEFT, K_RIGHT, prior)
+    assert np.abs(turn_deg(found.R, TRUE)).max() < 2e-3
+    assert np.linalg.norm(found.t) == pytest.approx(0.8)
+    if solver != "3dof":
+        assert away_deg(found.t, TRUE) < 0.05
+
+
+@pytest.mark.parametrize("solver", ALL)
+def test_a_fifth_of_wrong_matches_and_half_a_pixel_of_noise_cost_little(solver):
+    prior = transform(np.eye(3), TRUE[:3, 3]) if solver == "3dof" else NOMINAL
+    errors = []
+    for s in range(6):
+        matches = seen(TRUE, noise_px=0.5, wrong=0.2, seed=s)
+        R = SOLVERS[solver](matches, K_LEFT, K_RIGHT, prior).R
+        errors.append(np.linalg.norm(turn_deg(R, TRUE)))
+    assert np.median(errors) < (0.15 if solver == "magsac" else 0.05)
+
+
+def test_a_vertical_rig_is_fitted_as_well():
+    prior = transform(np.eye(3), np.array([0.0, -0.8, 0.0]))
+    found = fit(seen(VERTICAL, noise_px=0.3), K_LEFT, K_RIGHT, prior)
+    assert np.abs(turn_deg(found.R, VERTICAL)).max() < 0.05
+    assert away_deg(found.t, VERTICAL) < 0.5
+
+
+def test_sampson_error_is_the_distance_that_matches_were_moved():
+    """To first order: half of a shift across the epipolar line, if both cameras look straight."""
+    uv = seen(NOMINAL, 200).uv_left
+    moved = Matches(uv, uv + np.array([-5.0, 0.4]))
+    error = sampson_px(moved, K_LEFT, K_LEFT, np.eye(3), NOMINAL[:3, 3])
+    np.testing.assert_allclose(np.abs(error), 0.4 / np.sqrt(2), rtol=1e-9)
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    """Squared Mahalanobis distances over many draws: their mean is the number of parameters."""
+    distances = []
+    for s in range(30):
+        found = fit(seen(TRUE, 400, noise_px=0.5, seed=s), K_LEFT, K_RIGHT, NOMINAL)
+        x = Rotation.from_matrix(found.R @ TRUE[:3, :3].T).as_rotvec()
+        distances.append(x @ np.linalg.solve(found.covariance[:3, :3], x))
+    assert 2.0 < np.mean(distances) < 5.0
+
+
+def test_yaw_is_known_far_worse_than_pitch_and_roll():
+    pitch, yaw, roll = np.sqrt(np.diag(fit(seen(TRUE, noise_px=0.5), K_LEFT, K_RIGHT,
+                                           NOMINAL).covariance)[:3])  # fmt: skip
+    assert yaw > 3 * pitch
+    assert yaw > 2 * roll
+
+
+def test_with_the_true_t_given_less_is_to_be_found_and_the_error_is_less():
+    given = transform(np.eye(3), TRUE[:3, 3])
+    of = {}
+    for name, options, prior in (("3", THREE_DOF, given), ("5", FIVE_DOF, NOMINAL)):
+        errors = [turn_deg(fit(seen(TRUE, 300, 0.5, seed=s), K_LEFT, K_RIGHT, prior, options).R,
+                           TRUE) for s in range(8)]  # fmt: skip
+        of[name] = np.linalg.norm(errors)
+    assert of["3"] < of["5"]
+
+
+@pytest.mark.parametrize("solver", ALL)
+def test_shuffled_matches_and_too_few_have_no_solution(solver):
+    matches = seen(TRUE)
+    order = np.random.default_rng(0).permutation(len(matches))
+    with pytest.raises(NoSolution):
+        SOLVERS[solver](matches.subset(np.arange(3)), K_LEFT, K_RIGHT, NOMINAL)
+    if solver in ("3dof", "5dof"):  # RANSAC finds some agreement in anything
+        shuffled = Matches(matches.uv_left, matches.uv_right[order])
+        with pytest.raises(NoSolution, match="Do both images show the same scene"):
+            SOLVERS[solver](shuffled, K_LEFT, K_RIGHT, NOMINAL)
+
+
+def test_a_threshold_on_normalised_points_lets_wrong_matches_in():
+    """The settings of the paper's release, and why they are not ours."""
+    matches = seen(TRUE, noise_px=0.3, wrong=0.1)
+    errors = {
+        name: np.linalg.norm(turn_deg(SOLVERS[name](matches, K_LEFT, K_RIGHT, NOMINAL).R, TRUE))
+        for name in ("loransac", "loransac-paper")
+    }
+    assert errors["loransac"] < 0.05
+    assert errors["loransac-paper"] > 4 * errors["loransac"]
+
+
+def test_an_unknown_method_is_answered_by_those_that_there_are():
+    with pytest.raises(UserError, match=r"method 'sitf\+5dof': expected one of .*sift\+5dof"):
+        load_method("sitf+5dof")
+    assert "network+5dof" in METHODS
