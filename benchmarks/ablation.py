@@ -9,7 +9,7 @@ seeds and pairs, its interval a bootstrap over scenes.
 
 from __future__ import annotations
 
-import json
+import csv
 import os
 import subprocess
 import sys
@@ -25,7 +25,7 @@ from _table import markdown
 from flowrect.metrics import bootstrap_interval
 
 ARMS = {"with flow loss": "exact", "without": "none"}
-FIGURES = ("pitch [°]", "yaw [°]", "roll [°]", "geodesic [°]", "vertical flow [px]")
+FIGURES = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg", "vertical_flow_px")
 
 
 @dataclass(frozen=True)
@@ -46,23 +46,26 @@ class Options:
     """t at test time: gt or nominal"""
 
 
-def scored(options: Options, teacher: str, seed: int) -> list[dict]:
-    """Trains one network, unless that was done before; scores of every test pair."""
-    out = options.out / f"{teacher}-{seed}"
-    scores = out / f"test-{options.translation}.jsonl"
+def scored(options: Options, teacher: str, seed: int) -> list[dict[str, str]]:
+    """Trains one network, unless that was done before; the rows of every test pair."""
+    out = options.out / f"{teacher}-{seed}-{options.steps}x{options.batch}"
+    name, results = f"network={out / 'last.safetensors'}", out / "results"
+    scores = results / "scores.csv"
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     if not scores.exists():
         train = ["flowrect.train", "--preset", "small", "--data", options.data, "--out", out,
                  "--teacher", teacher, "--max-steps", options.steps, "--val-every", options.steps,
                  "--val-pairs", 12, "--loading.batch", options.batch, "--loading.workers", 0,
                  "--loading.seed", seed]  # fmt: skip
-        test = ["flowrect.evaluate", "--data", options.test, "--weights", out / "last.safetensors",
-                "--translation", options.translation, "--out", scores]  # fmt: skip
+        test = ["flowrect.evaluate", "--data", options.test, "--methods", name, "--size", "512x256",
+                "--translations", options.translation, "--matched-pairs", 0, "--out",
+                results]  # fmt: skip
         for command in (train, test):
             subprocess.run([sys.executable, "-m", *map(str, command)], env=environment, check=True,
                            stdout=subprocess.DEVNULL)  # fmt: skip
     print(f"{teacher}, seed {seed}: done", flush=True)
-    return [json.loads(line) for line in scores.read_text().splitlines()]
+    with scores.open(newline="") as file:
+        return [row for row in csv.DictReader(file) if row["method"] == name]
 
 
 def main(options: Options) -> None:
@@ -73,7 +76,12 @@ def main(options: Options) -> None:
     scenes = np.array([r["scene"] for r in records[runs[0]]])
     # (seeds, pairs, figures) of each arm
     found = {
-        arm: np.array([[r["network"] for r in records[teacher, s]] for s in range(options.seeds)])
+        arm: np.array(
+            [
+                [[float(r[f]) for f in FIGURES] for r in records[teacher, s]]
+                for s in range(options.seeds)
+            ]
+        )
         for arm, teacher in ARMS.items()
     }
     rows = [

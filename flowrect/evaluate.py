@@ -71,7 +71,7 @@ class EvaluateOptions:
 def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     """Predicts what is missing, scores everything, and writes the files."""
     _require_known(options.methods)
-    delivery = Delivery(options.data, options.split, _wh(options.size), options.limit,
+    delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
@@ -128,7 +128,8 @@ def _require_known(methods: Sequence[str]) -> None:
         )
 
 
-def _wh(size: str) -> tuple[int, int]:
+def wh_of(size: str) -> tuple[int, int]:
+    """(1024, 512) of "1024x512"."""
     try:
         w, h = (int(x) for x in size.split("x"))
     except ValueError as error:
@@ -155,7 +156,8 @@ class _progress(AbstractContextManager[Report]):
 def shown(scores: Sequence[Score], translation: str) -> Table:
     """Mean / median of the main figures, for the terminal."""
     figures = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg", "vertical_flow_px")
-    table = Table("", *figures, "failures", title=f"t = {translation}: mean / median")
+    heads = ("pitch [°]", "yaw [°]", "roll [°]", "geodesic [°]", "vertical flow [px]", "failures")
+    table = Table("", *heads, title=f"t = {translation}: mean / median")
     for (method, t), group in tables.grouped(scores).items():
         if t == translation:
             found = (tables.summary(group, f) for f in figures)
@@ -167,7 +169,7 @@ def shown(scores: Sequence[Score], translation: str) -> Table:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
     options = tyro.cli(EvaluateOptions, args=arguments, prog="flowrect.evaluate")
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
     try:
         scores = evaluate(options, console)
     except UserError as error:

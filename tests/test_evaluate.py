@@ -1,23 +1,37 @@
-"""Scores of weights: three rows that must agree with each other, and with the geometry."""
+"""Scores: rows that must agree with each other and with the geometry, files that can be gone on."""
 
 from __future__ import annotations
 
-import json
+import csv
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_network import TINY, road_set
+from rich.console import Console
+from scipy.spatial.transform import Rotation
+from test_rectify import K, photograph
+from tiny_network import TINY_PAPER, network, road_set
 
-from flowrect.estimate import Calibrator
-from flowrect.evaluate import FIGURES, ROWS, Options, evaluate, score, table
-from flowrect.model import Rectifier
-from flowrect.sources import open_source
+from flowrect import evaluate as command
+from flowrect.calibration import Calibration
+from flowrect.evaluate import EvaluateOptions, evaluate, main
+from flowrect.evaluation import predictions
+from flowrect.evaluation.delivered import Delivery, prior
+from flowrect.evaluation.predict import Run, predict
+from flowrect.evaluation.scores import Score, scored
+from flowrect.evaluation.tables import document, main_table
+from flowrect.formats import opencv
+from flowrect.methods import PoseEstimate
+from flowrect.rectify import write_rgb
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
+from simgen.geometry import Array, transform
 
-ANGLES, FLOW = slice(0, 4), 4
+WALL_WH = (400, 200)
+QUIET = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
@@ -25,50 +39,211 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return road_set(tmp_path_factory.mktemp("set"))
 
 
-@pytest.fixture
-def untrained() -> Calibrator:
-    return Calibrator(Rectifier(TINY).eval(), Card(preset="custom"))
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three rectified pairs of a textured wall, as a folder of real ones."""
+    folder = tmp_path_factory.mktemp("wall")
+    T = transform(np.eye(3), np.array([-0.4, 0.0, 0.0]))
+    for name, y in (("a", 0.0), ("b", 0.2), ("c", -0.2)):
+        for side, t in (("left", np.zeros(3)), ("right", T[:3, 3])):
+            (folder / side).mkdir(exist_ok=True)
+            image = photograph(K, np.zeros(4), np.eye(3), t + np.array([0, y, 0]))
+            write_rgb(folder / side / f"{name}.png", image)
+    opencv.write(folder / "calib.yaml", Calibration(K, K, T, (400, 240)))
+    return folder
 
 
-def test_the_truth_has_no_error_and_no_vertical_flow(data, untrained):
-    for pair in open_source(data, truth_points=None):
-        truth = score(pair, untrained, "gt")["truth"]
-        assert truth[ANGLES] == pytest.approx([0, 0, 0, 0], abs=1e-9)
-        assert truth[FLOW] < 1e-4
+@pytest.fixture(scope="module")
+def scores(wall: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Score]:
+    out = tmp_path_factory.mktemp("results")
+    options = EvaluateOptions(wall, ("sift+5dof", "dis+5dof"), size="256x128", turn_deg=1.0,
+                              translations=("nominal",), matched_pairs=1, out=out)  # fmt: skip
+    return evaluate(options, QUIET)
 
 
-def test_angles_of_the_unrectified_pair_are_those_that_were_drawn(data, untrained):
-    pair = open_source(data, truth_points=None)[0]
-    figures = score(pair, untrained, "gt")["unrectified"]
-    relative = pair.turn_right.T @ pair.turn_left  # R_right_left of a rig without nominal rotation
-    cosine = (np.trace(relative) - 1) / 2
-    assert figures[3] == pytest.approx(np.rad2deg(np.arccos(cosine)), abs=1e-6)
-    assert figures[FLOW] > 0.1
+def of(scores: list[Score], method: str, figure: str) -> Array:
+    return np.array([s.figures.get(figure, np.nan) for s in scores if s.method == method])
 
 
-def test_a_wrong_translation_leaves_vertical_flow_even_to_the_true_rotation(data, untrained):
-    pair = open_source(data, truth_points=None)[0]
-    assert score(pair, untrained, "nominal")["truth"][FLOW] > 1e-3
+def delivery(data: Path) -> Delivery:
+    return Delivery(data, "all", (96, 48))
 
 
-def test_every_pair_is_scored_and_summarised(data, tmp_path):
-    save_weights(tmp_path / "w.safetensors", Rectifier(TINY), Card(preset="custom"))
-    options = Options(data, str(tmp_path / "w.safetensors"), split="all")
-    records = evaluate(options)
-    assert len(records) == len(open_source(data))
-    assert all(len(r[row]) == len(FIGURES) for r in records for row in ROWS)
-    json.dumps(records)
-    assert table(records, "").row_count == len(ROWS)
+# --- what the figures say
 
 
-def test_a_limit_is_spread_over_the_set(data, tmp_path):
-    save_weights(tmp_path / "w.safetensors", Rectifier(TINY), Card(preset="custom"))
-    records = evaluate(Options(data, str(tmp_path / "w.safetensors"), split="all", limit=2))
-    pairs = open_source(data)
-    assert [r["name"] for r in records] == [pairs[0].name, pairs[len(pairs) - 1].name]
+def test_the_truth_has_no_error_and_no_vertical_flow(data):
+    for of_pair in scored(delivery(data).open(None), {}, ("gt",), matchers={}, matched=()):
+        truth = next(s for s in of_pair if s.method == "truth").figures
+        assert truth["geodesic_deg"] == pytest.approx(0, abs=1e-9)
+        assert truth["vertical_flow_px"] < 1e-4
+        assert truth["disparity_bias_px"] == pytest.approx(0, abs=1e-9)
+        assert truth["mae_paper"] == truth["mae_valid"] == 0
 
 
-def test_pairs_without_truth_are_refused(data, untrained):
-    pair = replace(open_source(data, truth_points=None)[0], truth=None)
-    with pytest.raises(UserError, match="no exact ground truth"):
-        score(pair, untrained, "gt")
+def test_angles_of_the_unrectified_pair_are_those_that_were_drawn(data):
+    pairs = delivery(data).open(None)
+    for i, of_pair in enumerate(scored(pairs, {}, ("gt",), matchers={}, matched=())):
+        pair = pairs[i].input
+        relative = pair.turn_right.T @ pair.turn_left  # R_right_left of a rig without rotation
+        drawn = np.rad2deg(np.arccos((np.trace(relative) - 1) / 2))
+        figures = next(s for s in of_pair if s.method == "unrectified").figures
+        assert figures["geodesic_deg"] == pytest.approx(drawn, abs=1e-6)
+        assert figures["vertical_flow_px"] > 0.1
+
+
+def test_a_wrong_translation_leaves_vertical_flow_even_to_the_true_rotation(data):
+    of_pair = next(scored(delivery(data).open(None), {}, ("nominal",), matchers={}, matched=()))
+    truth = next(s for s in of_pair if s.method == "truth").figures
+    assert truth["geodesic_deg"] < 1e-9
+    assert truth["vertical_flow_px"] > 1e-3
+
+
+def test_known_turns_of_real_pairs_are_found(scores):
+    """A right image that was turned by a known angle: the methods report it."""
+    assert of(scores, "unrectified", "geodesic_deg").min() > 0.3
+    for method in ("sift+5dof", "dis+5dof"):
+        assert np.median(of(scores, method, "geodesic_deg")) < 0.12
+        before, after = (of(scores, m, "mae_paper") for m in ("unrectified", method))
+        assert (after < 0.7 * before).all()
+    assert np.isnan(of(scores, "sift+5dof", "vertical_flow_px")).all()  # no depth is known
+
+
+def test_offsets_of_matches_shrink_and_are_measured_on_the_pairs_that_were_chosen(scores):
+    before, after = (of(scores, m, "sift_offset_median_px") for m in ("unrectified", "dis+5dof"))
+    assert np.isfinite(before).sum() == 1
+    assert np.nanmax(after) < 0.3 < np.nanmax(before)
+
+
+# --- failures
+
+
+def test_a_failure_is_scored_with_the_prior_and_counted(data):
+    pairs = delivery(data).open(None)
+    row = predictions.Prediction(0, pairs[0].input.name, None, "found nothing")
+    of_pair = next(scored(pairs, {("m", "gt"): {0: row}}, ("gt",), matchers={}, matched=()))
+    by_name = {s.method: s for s in of_pair}
+    assert by_name["m"].failure == "found nothing"
+    failed, left_over = (by_name[m].figures["geodesic_deg"] for m in ("m", "unrectified"))
+    assert failed == left_over
+    cells = main_table(of_pair, "gt", {}).splitlines()[3].split("|")
+    assert cells[1].strip() == "m"
+    assert cells[-2].strip() == "1"
+
+
+def test_shuffled_right_images_are_failures_and_not_plausible_numbers(wall, tmp_path):
+    shutil.copytree(wall, tmp_path / "mixed")
+    for name in "abc":  # another part of the wall, in a mirror
+        image = photograph(K, np.zeros(4), np.eye(3), np.array([1.5, 0.7, 0]))
+        write_rgb(tmp_path / "mixed" / "right" / f"{name}.png", image[:, ::-1])
+    run = Run(Delivery(tmp_path / "mixed", "all", (256, 128), 0, 1.0),
+              ("sift+5dof", "dis+5dof"), ("nominal",), tmp_path / "out")  # fmt: skip
+    predict(run)
+    for method in run.methods:
+        path, data = run.path(method, "nominal"), run.delivery.open().fingerprint
+        assert all("expected" in row.failure for row in predictions.read(path, data=data))
+
+
+def test_a_method_that_takes_too_long_is_stopped_and_the_run_goes_on(wall, tmp_path):
+    run = Run(Delivery(wall, "all", (256, 128), 1, 1.0), ("sift+5dof",), ("gt",), tmp_path,
+              time_limit_s=0.01)  # fmt: skip
+    assert predict(run) == {}
+    (row,) = predictions.read(run.path("sift+5dof", "gt"), data=run.delivery.open().fingerprint)
+    assert row.estimate is None
+    assert row.failure == "took longer than 0.01 s and was stopped"
+
+
+# --- files
+
+
+def test_what_is_predicted_is_not_predicted_again(wall, tmp_path):
+    run = Run(Delivery(wall, "all", (256, 128), 0, 1.0), ("unrectified",), ("gt",), tmp_path)
+    pairs, path = run.delivery.open(), run.path("unrectified", "gt")
+    mark = PoseEstimate(np.eye(3), np.array([0.0, 0, 7]), num_matches=5, seconds={"matching": 2.0})
+    rows = [predictions.Prediction(1, "b", mark)]
+    predictions.write(path, rows, method="unrectified", data=pairs.fingerprint)
+    done = []
+    predict(run, lambda n, of: done.append((n, of)))
+    found = predictions.read(path, data=pairs.fingerprint)
+    assert done == [(1, 3), (2, 3), (3, 3)]
+    assert [r.index for r in found] == [0, 1, 2]
+    np.testing.assert_array_equal(found[1].estimate.t, [0, 0, 7])
+    assert found[1].estimate.seconds == {"matching": 2.0}
+    assert (found[1].estimate.num_matches, found[1].estimate.num_inliers) == (5, None)
+    np.testing.assert_array_equal(found[0].estimate.t, prior(pairs[0].input, "gt")[:3, 3])
+
+
+def test_predictions_of_other_pairs_are_refused(tmp_path):
+    predictions.write(tmp_path / "p.h5", [], method="m", data="these")
+    with pytest.raises(UserError, match="predictions for other pairs"):
+        predictions.read(tmp_path / "p.h5", data="those")
+    (tmp_path / "p.h5").write_bytes(b"no HDF5")
+    with pytest.raises(UserError, match="Delete it: they are made anew"):
+        predictions.read(tmp_path / "p.h5", data="these")
+
+
+def test_the_command_writes_tables_of_every_method(data, tmp_path, capsys):
+    save_weights(tmp_path / "w.safetensors", network(TINY_PAPER), Card(preset="custom"))
+    out, name = tmp_path / "results", f"network={tmp_path / 'w.safetensors'}"
+    arguments = ["--data", str(data), "--methods", name, "--size", "96x48", "--limit", "2",
+                 "--split", "all", "--matched-pairs", "0", "--out", str(out)]  # fmt: skip
+    assert main(arguments) == 0
+    with (out / "scores.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 2 * 3  # pairs, translations, and methods with unrectified and truth
+    untrained = [r for r in rows if r["method"] == name]
+    prior_rows = [r for r in rows if r["method"] == "unrectified"]
+    for a, b in zip(untrained, prior_rows, strict=True):  # its correction is 0
+        assert float(a["geodesic_deg"]) == pytest.approx(float(b["geodesic_deg"]), abs=1e-5)
+    text = (out / "tables.md").read_text()
+    assert "t = gt" in text
+    assert "by weather" in text
+    assert "geodesic_deg" in (out / "summary.csv").read_text()
+    assert "written:" in capsys.readouterr().out
+
+
+def test_a_method_without_weights_stays_in_the_table(scores):
+    text = document(scores, {"superglue+5dof": "put them in models/"}, "", ("nominal",))
+    assert "| superglue+5dof | no weights: put them in models/ |" in text
+
+
+def test_a_limit_is_spread_over_the_set(data):
+    pairs = replace(delivery(data), limit=2).open()
+    assert pairs.chosen == [0, len(pairs.pairs) - 1]
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--methods", "sift+6dof"], r"method 'sift\+6dof': expected some of network"),
+        (["--size", "huge"], "--size huge: expected WIDTHxHEIGHT"),
+        (["--size", "2048x1024"], "has no window of 2048x1024; ask for a smaller --size"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_said(more, message, data, tmp_path, capsys):
+    methods = [] if "--methods" in more else ["--methods", "sift+5dof"]
+    arguments = ["--data", str(data), "--split", "all", "--out", str(tmp_path), *methods, *more]
+    assert main(arguments) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+def test_pairs_without_a_true_pose_are_refused(wall):
+    with pytest.raises(UserError, match="its true pose is not known; expected rendered pairs"):
+        Delivery(wall, "all", (256, 128)).open()[0]
+
+
+def test_ctrl_c_says_that_the_same_command_goes_on(data, tmp_path, monkeypatch, capsys):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "evaluate", interrupted)
+    assert main(["--data", str(data), "--out", str(tmp_path)]) == 130
+    assert "the same command goes on" in capsys.readouterr().out
+
+
+def test_turns_of_real_pairs_are_the_same_for_every_method_and_run(wall):
+    how = Delivery(wall, "all", (256, 128), turn_deg=1.0)
+    first, again = how.open()[1].input, how.open()[1].input
+    np.testing.assert_array_equal(first.left, again.left)
+    turn = Rotation.from_matrix(first.turn_left).as_rotvec(degrees=True)
+    assert 0.05 < np.abs(turn).max() <= 1.0

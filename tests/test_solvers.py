@@ -34,8 +34,7 @@ def seen(T: Array, num: int = 1000, noise_px: float = 0.0, wrong: float = 0.0, s
     uv, uv_right = uv[inside][:num], uv_right[inside][:num]
     bad = rng.random(len(uv)) < wrong
     uv_right[bad] = rng.uniform(0, np.array(WH) - 1, (bad.sum(), 2))
-    return Matches(uv + rng.normal(0, noise_px, uv.shape) if noise_px else uv,
-                   uv_right + rng.normal(0, noise_px, uv.shape) if noise_px else uv_right)  # fmt: skip
+    return Matches(*(x + rng.normal(0, noise_px, x.shape) for x in (uv, uv_right)))
 
 
 def turn_deg(R: Array, T: Array) -> Array:

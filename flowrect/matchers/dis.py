@@ -26,6 +26,11 @@ class Dis:
     """pixels between the points that are kept"""
     cycle_px: float = 1.0
     """largest distance of a point from where forward and backward flow take it"""
+    texture: float = 0.0
+    """least root of the smaller eigenvalue of the structure tensor [grey levels per pixel]: where
+    there is nothing to match flow is smooth, agrees with itself, and is wrong"""
+    window: int = 9
+    """pixels over which texture is looked for"""
 
 
 TUNED = Dis()
@@ -37,7 +42,16 @@ def match(left: Image, right: Image, options: Dis = TUNED) -> Matches:
     dis = cv2.DISOpticalFlow.create(options.preset)
     forth = dis.calc(first, second, None)
     back = dis.calc(second, first, None)
-    return consistent(forth, back, step=options.step, cycle_px=options.cycle_px)
+    matches = consistent(forth, back, step=options.step, cycle_px=options.cycle_px)
+    u, v = matches.uv_left.astype(int).T
+    return matches.subset(texture(first, options.window)[v, u] >= options.texture)
+
+
+def texture(grey: NDArray[np.uint8], window: int) -> NDArray[np.float32]:
+    """Root of the structure tensor's smaller eigenvalue (H, W), in grey levels per pixel."""
+    # Sobel's kernel sums to 8; OpenCV's scale of an 8-bit image is 1 / (255 * window * 4).
+    found = cv2.cornerMinEigenVal(grey, window, ksize=3) * (255 * window * 4 / 8) ** 2 / window**2
+    return np.sqrt(np.maximum(found, 0), dtype=np.float32)
 
 
 def consistent(forth: NDArray[Any], back: NDArray[Any], *, step: int, cycle_px: float) -> Matches:

@@ -45,6 +45,9 @@ class Fit:
     min_inliers: int = 20
     min_share: float = 0.2
     """of supporting matches among all: chance alone brings a tenth"""
+    max_sigma_deg: float = 1.0
+    """largest standard deviation of the turn about any axis: a few matches in one corner agree
+    with many poses"""
 
 
 FIVE_DOF = Fit()
@@ -74,6 +77,12 @@ def fit(
             "both images show the same scene, and is the prior roughly right?"
         )
     covariance = problem.covariance(x, options.scales_px[-1], inliers)
+    sigma_deg = np.rad2deg(np.sqrt(np.diag(covariance)[:3]))
+    if sigma_deg.max() > options.max_sigma_deg:
+        raise NoSolution(
+            f"{inliers.sum()} matches leave the rotation open: {sigma_deg.max():.1f}° about one "
+            f"axis, expected at most {options.max_sigma_deg:g}°. Are they all in one place?"
+        )
     return Solution(R, t, inliers, covariance)
 
 

@@ -1,0 +1,87 @@
+"""Which settings of the classical methods are best on training frames.
+
+    python benchmarks/tune_methods.py --data train/ [--limit 60] [--size 512x256]
+
+Test frames are never looked at. Matches are found once a setting; every solver setting gets the
+same ones. Geodesic error in degrees; failures are counted with the error of the prior. The last
+column says how large squared errors are against the covariance that the fit reports: 1 is honest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import tyro
+from _table import markdown
+from rich.progress import track
+
+from flowrect.evaluate import wh_of
+from flowrect.evaluation.delivered import Delivery, prior
+from flowrect.matchers import dis, sift
+from flowrect.matches import Matcher
+from flowrect.solvers import NoSolution, Solver
+from flowrect.solvers.essential import Ransac, lo_ransac, magsac
+from flowrect.solvers.fit import FIVE_DOF, fit
+from simgen.geometry import vector_from_rotation
+
+
+@dataclass(frozen=True)
+class Options:
+    """Sweeps settings on training frames."""
+
+    data: Path
+    limit: int = 60
+    """pairs, evenly chosen"""
+    size: str = "512x256"
+
+
+THRESHOLDS = (0.25, 0.5, 1.0, 2.0)
+FITS = {"5dof": partial(fit, options=FIVE_DOF)}
+RANSACS: dict[str, Solver] = {
+    **{f"loransac {t:g}": partial(lo_ransac, options=Ransac(t)) for t in THRESHOLDS},
+    **{f"magsac {t:g}": partial(magsac, options=Ransac(t)) for t in THRESHOLDS},
+}
+SWEEP: dict[str, tuple[Matcher, dict[str, Solver]]] = {
+    **{f"sift {c:g} {r:g}": (partial(sift.match, options=replace(sift.TUNED, contrast=c, ratio=r)),
+                             FITS)
+       for c in (0.04, 0.01, 0.003) for r in (0.75, 0.85)},
+    **{f"dis texture {t:g}": (partial(dis.match, options=replace(dis.TUNED, texture=t)), FITS)
+       for t in (0.0, 0.5, 1.0, 2.0, 4.0)},
+    "sift": (sift.match, RANSACS),
+    "dis": (dis.match, RANSACS),
+}  # fmt: skip
+"""matchers, and the solvers that are tried on their matches"""
+
+
+def main(options: Options) -> None:
+    """Prints the table."""
+    pairs = Delivery(options.data, "train", wh_of(options.size), options.limit).open()
+    errors = {(m, s): [] for m, (_, solvers) in SWEEP.items() for s in solvers}
+    failed, excess = dict.fromkeys(errors, 0), {key: [] for key in errors}
+    for i in track(range(len(pairs)), "pairs"):
+        pair = pairs[i].input
+        start, R_gt = prior(pair, "nominal"), pair.T_right_left[:3, :3]
+        for m, (match, solvers) in SWEEP.items():
+            matches = match(pair.left, pair.right)
+            for s, solver in solvers.items():
+                try:
+                    found = solver(matches, pair.K_left, pair.K_right, start)
+                    x = vector_from_rotation(found.R @ R_gt.T)
+                    if found.covariance is not None:
+                        excess[m, s].append(x @ np.linalg.solve(found.covariance[:3, :3], x) / 3)
+                except NoSolution:
+                    x, failed[m, s] = vector_from_rotation(start[:3, :3] @ R_gt.T), failed[m, s] + 1
+                errors[m, s].append(np.rad2deg(np.linalg.norm(x)))
+    rows = [
+        [m, s, f"{np.median(e):.3f}", f"{np.mean(e):.3f}", f"{np.percentile(e, 95):.2f}",
+         failed[m, s], f"{np.median(excess[m, s]) / 0.79:.1f}" if excess[m, s] else ""]
+        for (m, s), e in errors.items()
+    ]  # fmt: skip
+    print(markdown(["matches", "solver", "median", "mean", "95 %", "failed", "excess"], rows))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
