@@ -28,6 +28,7 @@ from flowrect.evaluation import tables
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation
 from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import read
+from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
 from flowrect.matchers import load_matcher
 from flowrect.methods import METHODS
@@ -82,6 +83,7 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     rows = _read(run, delivery.open().fingerprint, unavailable)
     scores = _scored(delivery.open(truth_points=None), rows, options, console)
     _write(options, scores, unavailable)
+    write_report(options.out / "report.html", scores, rows, delivery.open(), unavailable)
     return scores
 
 
@@ -180,7 +182,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     for translation in options.translations:
         console.print(shown(scores, translation))
-    console.print(f"written: {options.out}/tables.md, summary.csv, scores.csv", soft_wrap=True)
+    console.print(
+        f"written: {options.out}/report.html, tables.md, summary.csv, scores.csv", soft_wrap=True
+    )
     return 0
 
 

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from simgen.geometry import Array
 from simgen.schema import LABEL_COLORS, LABELS
 
-_SIZE, _WIDE = (5.6, 2.7), (11.2, 2.2)  # inches of 72 px
+SIZE, WIDE = (5.6, 2.7), (11.2, 2.2)  # inches of 72 px
 _INK, _FAINT = "#444b54", "#d9dde2"
-_SERIES = ("#3f72af", "#d1793a", "#4a9b7f", "#8b6fb0", "#b8a13a", "#777f88")
+SERIES = ("#3f72af", "#d1793a", "#4a9b7f", "#8b6fb0", "#b8a13a", "#777f88")
 _STAGES = ("#274c77", "#4f7cac", "#86a8c9", "#bcd0e2", "#2f7d6b", "#5fae97", "#a6d3c4",
            "#c8763c", "#e2a878", "#8b6fb0", "#bda9d6", "#777f88", "#aab1b8")  # fmt: skip
 _AS_PERCENT = FuncFormatter(lambda value, _: f"{100 * value:.3g} %")
@@ -48,8 +48,8 @@ def histogram(
       expected: the share of each bin if the values were uniform; drawn with the band that holds
         95 % of the bins of such values.
     """
-    figure, axes = _empty(_SIZE)
-    for (name, counts), color in zip(series.items(), _cycle(_SERIES, len(series)), strict=True):
+    figure, axes = empty(SIZE)
+    for (name, counts), color in zip(series.items(), _cycle(SERIES, len(series)), strict=True):
         axes.stairs(_shares(counts), edges, label=name, color=color, linewidth=1.6)
         if len(series) == 1:
             axes.stairs(_shares(counts), edges, fill=True, color=color, alpha=0.3, linewidth=0)
@@ -61,9 +61,9 @@ def histogram(
     axes.set_xlim(*_occupied(edges, series))
     axes.set_ylim(bottom=0)
     axes.yaxis.set_major_formatter(_AS_PERCENT)
-    _label(axes, x, y)
+    label(axes, x, y)
     if len(series) > 1 or expected is not None:
-        _legend_above(axes, len(series) + 1)
+        legend_above(axes, len(series) + 1)
     return figure
 
 
@@ -79,7 +79,7 @@ def class_shares(counts: NDArray[np.int64]) -> Figure:
     share = _shares(counts)
     present = [i for i in np.argsort(share, kind="stable") if share[i] > 0]
     names = {label: name for name, label in LABELS.items()}
-    figure, axes = _empty((_SIZE[0], 0.6 + 0.24 * len(present)))
+    figure, axes = empty((SIZE[0], 0.6 + 0.24 * len(present)))
     rows = np.arange(len(present))
     colors = [np.array(LABEL_COLORS.get(int(i), (0, 0, 0))) / 255 for i in present]
     axes.barh(rows, share[present], color=colors, height=0.72)
@@ -91,13 +91,13 @@ def class_shares(counts: NDArray[np.int64]) -> Figure:
     axes.xaxis.set_major_formatter(_AS_PERCENT)
     axes.grid(False, axis="y")
     axes.grid(True, axis="x", color=_FAINT, linewidth=0.6)
-    _label(axes, "share of pixels", "")
+    label(axes, "share of pixels", "")
     return figure
 
 
 def stage_seconds(stages: Mapping[str, Array]) -> Figure:
     """Two bars, cut into the stages of a frame: means, and medians."""
-    figure, axes = _empty(_WIDE)
+    figure, axes = empty(WIDE)
     left = np.zeros(2)
     for (stage, seconds), color in zip(stages.items(), _cycle(_STAGES, len(stages)), strict=True):
         width = np.array([np.median(seconds), np.mean(seconds)])
@@ -107,8 +107,8 @@ def stage_seconds(stages: Mapping[str, Array]) -> Figure:
     axes.set_yticks([0, 1], [f"medians\nsum {left[0]:.1f} s", f"means\nsum {left[1]:.1f} s"])
     axes.set_xlim(0, left.max())
     axes.grid(False, axis="y")
-    _label(axes, "seconds per rig frame", "")
-    _legend_above(axes, 6)
+    label(axes, "seconds per rig frame", "")
+    legend_above(axes, 6)
     return figure
 
 
@@ -118,20 +118,21 @@ def memory(processes: Sequence[Sequence[tuple[int, float]]]) -> Figure:
     Args:
       processes: for each, (place of a frame in time, GB).
     """
-    figure, axes = _empty(_WIDE)
-    for points, color in zip(processes, _cycle(_SERIES, len(processes)), strict=True):
+    figure, axes = empty(WIDE)
+    for points, color in zip(processes, _cycle(SERIES, len(processes)), strict=True):
         place, gigabytes = np.array(points).T
         axes.plot(place, gigabytes, "o-", markersize=2.5, linewidth=1.2, color=color)
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    _label(axes, "frames finished", "resident memory [GB]")
+    label(axes, "frames finished", "resident memory [GB]")
     return figure
 
 
 # --- parts ---------------------------------------------------------------------------------------
 
 
-def _empty(size: tuple[float, float]) -> tuple[Figure, Axes]:
+def empty(size: tuple[float, float]) -> tuple[Figure, Axes]:
+    """A figure of the page's style, of so many inches."""
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
@@ -142,12 +143,14 @@ def _empty(size: tuple[float, float]) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _label(axes: Axes, x: str, y: str) -> None:
+def label(axes: Axes, x: str, y: str) -> None:
+    """Names both axes."""
     axes.set_xlabel(x, size=9.5, color=_INK)
     axes.set_ylabel(y, size=9.5, color=_INK)
 
 
-def _legend_above(axes: Axes, num_columns: int) -> None:
+def legend_above(axes: Axes, num_columns: int) -> None:
+    """A legend that takes no room from the data."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0, 1.0), ncols=num_columns, frameon=False, fontsize=9,
         labelcolor=_INK, handlelength=1.2, handletextpad=0.5, columnspacing=1.4, borderpad=0.2,

@@ -1,0 +1,208 @@
+"""One self-contained HTML page about an evaluation: tables, error curves, overlays of pairs."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from flowrect.drectify import rectify, warp
+from flowrect.evaluation import tables
+from flowrect.evaluation.delivered import Delivered, prior
+from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
+from flowrect.sample import Image, Pair
+from simgen.charts import SERIES, SIZE, empty, label, legend_above, to_svg
+from simgen.geometry import Array
+from simgen.page import page, section, table
+from simgen.shards import write_atomically
+
+NUM_SHOWN = 3
+"""pairs that are shown as every method rectifies them"""
+OVERLAY_W = 384
+GUIDES = 8
+"""horizontal lines over an overlay"""
+NOISE_PX = 0.5
+"""of a match, for the Cramér–Rao bound"""
+
+
+def write_report(
+    path: Path, scores: Sequence[Score], rows: Rows, pairs: Delivered, unavailable: dict[str, str]
+) -> None:
+    """Writes the page."""
+    translations = list(dict.fromkeys(s.translation for s in scores))
+    sections = [_lead(scores)]
+    for translation in translations:
+        of = [s for s in scores if s.translation == translation]
+        sections.append(section(f"t = {translation}", _table(of, unavailable) + _charts(of, pairs)))
+    last = translations[-1]
+    sections.append(section(
+        "Pairs as the methods rectify them", _overlays(rows, pairs, last),
+        f"Left and right image laid over each other, t = {last}: what is at one height in both "
+        "stands on one line. Chosen evenly from the set, not by hand.",
+    ))  # fmt: skip
+    write_atomically(path, page("Rectification", sections).encode())
+
+
+def _lead(scores: Sequence[Score]) -> str:
+    pairs, scenes = len({s.index for s in scores}), len({s.scene for s in scores})
+    return (
+        f'<p class="lead">{pairs} pairs of {scenes} scenes. A pair for which a method failed is '
+        "scored with the prior, and counted. Pixels are those of 512×256 images.</p>"
+    )
+
+
+def _table(scores: Sequence[Score], unavailable: dict[str, str]) -> str:
+    cells = tables.columns(tables.figure_names(scores))
+    groups = tables.grouped(scores)
+    rows = [[m, *(cell(g) for cell in cells.values())] for (m, _), g in groups.items()]
+    rows += [[m, f"no weights: {why}"] for m, why in unavailable.items()]
+    head = ["method", *(c.replace("\\", "") for c in cells)]
+    return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
+
+
+# --- curves ------------------------------------------------------------------------------------
+
+
+def _charts(scores: Sequence[Score], pairs: Delivered) -> str:
+    groups = {m: g for (m, _), g in tables.grouped(scores).items() if m != TRUTH}
+    name = scores[0].translation
+    figures = {
+        "share of pairs below an error": _cumulative(groups),
+        "error against number of matches": _by_matches(groups, pairs),
+        **{f"median error by {by}": _by_stratum(groups, by) for by in tables.STRATA},
+    }
+    drawn = (
+        f"<figure><h3>{escape(title)}</h3>{to_svg(figure, f'{name} {title}')}</figure>"
+        for title, figure in figures.items()
+    )
+    return f'<div class="charts">{"".join(drawn)}</div>'
+
+
+def _colours(groups: dict[str, list[Score]]) -> dict[str, str]:
+    return {m: SERIES[k % len(SERIES)] for k, m in enumerate(groups)}
+
+
+def _cumulative(groups: dict[str, list[Score]]) -> Figure:
+    figure, axes = empty(SIZE)
+    for method, color in _colours(groups).items():
+        error = np.sort([s.figures["geodesic_deg"] for s in groups[method]])
+        share = 100 * (np.arange(len(error)) + 1) / len(error)
+        axes.step(error, share, where="post", color=color, label=method, linewidth=1.4)
+    axes.set_xscale("log")
+    axes.set_ylim(0, 100)
+    label(axes, "geodesic error [°]", "% of pairs")
+    legend_above(axes, 3)
+    return figure
+
+
+def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
+    """Errors of methods that count their matches, and what no method can better on average."""
+    figure, axes = empty(SIZE)
+    for method, color in _colours(groups).items():
+        known = [s for s in groups[method] if s.num_matches]
+        if known:
+            axes.plot([s.num_matches for s in known], [s.figures["geodesic_deg"] for s in known],
+                      ".", markersize=3, color=color, label=method, alpha=0.6)  # fmt: skip
+    pair = pairs[0].input
+    num = np.geomspace(20, 20_000, 50)
+    bound = cramer_rao_deg(num, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
+    axes.plot(num, bound, color="#444b54", linewidth=1.2, label=f"bound, {NOISE_PX:g} px")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    label(axes, "matches", "geodesic error [°]")
+    legend_above(axes, 3)
+    return figure
+
+
+def cramer_rao_deg(num: Array, noise_px: float, f: float, wh: tuple[int, int]) -> Array:
+    """Least standard deviation [°] of the geodesic error, by number of uniform matches.
+
+    Of an unbiased estimate with t known, f in pixels: σ_pitch = √2 σ / (f √N),
+    σ_yaw = 12 √2 σ f / (W H √N), σ_roll = 2 √6 σ / (W √N), in radians.
+    """
+    w, h = wh
+    factors = np.sqrt(2) / f, 12 * np.sqrt(2) * f / (w * h), 2 * np.sqrt(6) / w
+    return np.rad2deg(noise_px * np.linalg.norm(factors) / np.sqrt(num))
+
+
+def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
+    key = tables.STRATA[by]
+    names = sorted({key(s) for g in groups.values() for s in g if key(s)}) or ["all"]
+    figure, axes = empty(SIZE)
+    for method, color in _colours(groups).items():
+        parts = [[s.figures["geodesic_deg"] for s in groups[method] if key(s) in (n, "")]
+                 for n in names]  # fmt: skip
+        axes.plot(names, [np.median(p) if p else np.nan for p in parts], "o", color=color,
+                  markersize=5, label=method)  # fmt: skip
+    axes.set_yscale("log")
+    axes.tick_params(axis="x", labelrotation=20)
+    label(axes, "", "median geodesic error [°]")
+    legend_above(axes, 3)
+    return figure
+
+
+# --- overlays ----------------------------------------------------------------------------------
+
+
+def _overlays(rows: Rows, pairs: Delivered, translation: str) -> str:
+    num = min(NUM_SHOWN, len(pairs))
+    chosen = np.linspace(0, len(pairs) - 1, num + 2).round().astype(int)[1:-1]
+    cells = []
+    for i in chosen.tolist():
+        pair = pairs[i].metric
+        T = prior(pair, "gt" if translation == "gt" else "nominal")
+        shown: dict[str, tuple[Array, Array] | None] = {UNRECTIFIED: None}
+        for (method, t), predictions in rows.items():
+            estimate = predictions[i].estimate if i in predictions else None
+            if t == translation and estimate is not None:
+                shown[method] = estimate.R, T[:3, 3] if translation == "gt" else estimate.t
+        for method, pose in shown.items():
+            caption = f"{pair.name}: {method}"
+            cells.append(_figure(overlay(pair, pose), caption))
+    return f'<div class="sheet">{"".join(cells)}</div>'
+
+
+def overlay(pair: Pair, pose: tuple[Array, Array] | None) -> Image:
+    """Mean (h, w, 3) of both images, rectified by (R, t), with guide lines; None: as they are."""
+    left, right = pair.left, pair.right
+    if pose is not None:
+        left, right = _rectified(pair, *pose)
+    mixed = cv2.addWeighted(left, 0.5, right, 0.5, 0)
+    h, w = mixed.shape[:2]
+    mixed = cv2.resize(mixed, (OVERLAY_W, round(h * OVERLAY_W / w)), interpolation=cv2.INTER_AREA)
+    for k in range(1, GUIDES):
+        y = round(k * len(mixed) / GUIDES)
+        cv2.line(mixed, (0, y), (OVERLAY_W, y), (255, 220, 60), 1)
+    return np.asarray(mixed, dtype=np.uint8)
+
+
+def _rectified(pair: Pair, R: Array, t: Array) -> tuple[Image, Image]:
+    R_, t_, K_left, K_right = (
+        torch.from_numpy(np.asarray(x, dtype=np.float64))[None]
+        for x in (R, t, pair.K_left, pair.K_right)
+    )
+    rect = rectify(R_, t_, K_left, K_right, pair.wh)
+    views = []
+    for image, K, R_rect in (
+        (pair.left, K_left, rect.R_left),
+        (pair.right, K_right, rect.R_right),
+    ):
+        tensor = torch.from_numpy(image).permute(2, 0, 1)[None].float()
+        warped, _ = warp(tensor, K, R_rect, rect.K_new, pair.wh)
+        views.append(warped[0].round().clamp(0, 255).byte().permute(1, 2, 0).numpy())
+    return views[0], views[1]
+
+
+def _figure(image: Image, caption: str) -> str:
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    text = base64.b64encode(data.tobytes()).decode()
+    return (
+        f'<figure><img src="data:image/jpeg;base64,{text}" alt="{escape(caption)}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
