@@ -22,8 +22,10 @@ import numpy as np
 from flowrect.estimate import Calibrator, load_model
 from flowrect.matchers import MATCHERS, load_matcher
 from flowrect.matches import Matches
+from flowrect.rivals.config import RIVALS
 from flowrect.sample import Image
 from flowrect.solvers import SOLVERS, Solver
+from flowrect.weights import SHIPPED
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
@@ -77,9 +79,10 @@ def unrectified(
 
 @dataclass(frozen=True)
 class Network:
-    """A trained network alone; t is the prior's."""
+    """A trained network alone, whichever it is; t is the prior's."""
 
     weights: str
+    """name of shipped weights, or a file of flowrect.train"""
 
     def __call__(
         self, left: Image, right: Image, K_left: Array, K_right: Array, prior: Array
@@ -89,6 +92,18 @@ class Network:
         with seconds.of("network"):
             estimate = model.estimate(left, right, K_left, K_right, prior)
         return PoseEstimate(estimate.R, estimate.t, seconds=seconds, notes=estimate.notes)
+
+
+def rival(name: str) -> Network:
+    """A rival of the paper's tables, with its shipped weights; UserError if there are none."""
+    if (SHIPPED / f"{name}.safetensors").is_file():
+        return Network(name)
+    raise UserError(
+        f"method {name!r}: expected weights of that name in {SHIPPED}, found none. Train them "
+        f"(python -m flowrect.train --model {name} --data shards --out runs/{name}) and copy "
+        f"runs/{name}/best.safetensors there as {name}.safetensors, or pass that file to "
+        "flowrect.methods.Network."
+    )
 
 
 @cache
@@ -130,6 +145,7 @@ class FromMatches:
 METHODS: dict[str, Callable[[], Method]] = {
     "unrectified": lambda: unrectified,
     "network": partial(Network, "small"),
+    **{name: partial(rival, name) for name in RIVALS},
     **{
         f"network+{s}": partial(FromMatches, REFINED_BY, SOLVERS[s], Network("small"))
         for s in ("3dof", "5dof")

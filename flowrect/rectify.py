@@ -75,8 +75,8 @@ class Quality:
     weights: str
     correction_deg: tuple[float, float, float]
     """of R against the given calibration, about the right camera's x, y, z"""
-    match_probability: float
-    """mean probability of the network's best matches, 0..1"""
+    match_probability: float | None
+    """mean probability of the network's best matches, 0..1; None for a network without matches"""
     num_sift_matches: int
     before_px: float | None
     """median |vertical disparity| of the SIFT matches, rectified by the given calibration"""
