@@ -25,7 +25,7 @@ from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
 if TYPE_CHECKING:
-    from flowrect.weights import Network
+    from flowrect.weights import PoseNetwork
 
 MIN_CONTRAST = 2.0
 """standard deviation of an image's grey levels (of 255) below which there is nothing to match"""
@@ -57,7 +57,7 @@ class Estimate(Projections):
 class Calibrator:
     """A network with what is known of its training."""
 
-    network: Network
+    network: PoseNetwork
     card: Card
 
     def estimate(

@@ -27,7 +27,7 @@ from simgen.errors import UserError
 if TYPE_CHECKING:
     from flowrect.rivals import Rival
 
-    Network = Rectifier | Rival
+    PoseNetwork = Rectifier | Rival
 
 FORMAT = "flowrect-weights-1"
 _RIVAL_FORMAT = "flowrect-{}-1"
@@ -61,7 +61,7 @@ class Card:
     """share of the window that was kept"""
 
 
-def save_weights(path: Path, model: Network, card: Card) -> None:
+def save_weights(path: Path, model: PoseNetwork, card: Card) -> None:
     """Writes a file that ``load_weights`` reads, atomically."""
     config = model.config
     tensors = {name: x.detach().cpu().contiguous() for name, x in model.state_dict().items()}
@@ -79,7 +79,7 @@ def save_weights(path: Path, model: Network, card: Card) -> None:
 
 def load_weights(
     path: Path, *, expected: ModelConfig | RivalConfig | None = None
-) -> tuple[Network, Card]:
+) -> tuple[PoseNetwork, Card]:
     """The network of a file, in evaluation mode on the CPU, and its card.
 
     Args:
@@ -102,7 +102,7 @@ def load_weights(
     return model.eval(), card
 
 
-def untrained(config: ModelConfig | RivalConfig) -> Network:
+def untrained(config: ModelConfig | RivalConfig) -> PoseNetwork:
     """The network of a config, with random weights."""
     return Rectifier(config) if isinstance(config, ModelConfig) else build(config)
 

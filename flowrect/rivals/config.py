@@ -18,8 +18,8 @@ class SharedConfig:
     input_wh: tuple[int, int] = (448, 224)
     """width and height that images are fitted to"""
     network_wh: tuple[int, int] = (224, 224)
-    """that they are squeezed to within, with K; the papers' size. 256x128 takes two thirds of the
-    time and keeps pixels square"""
+    """that they are squeezed to within, with K; the papers' size. 256x128 takes half of the time
+    and keeps pixels square"""
     start: Literal["prior", "none"] = "prior"
     """prior: images are rectified by the prior, and what it leaves is predicted. none, as
     published: images as they are, the pose itself, t in metres"""
