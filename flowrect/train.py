@@ -286,6 +286,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parsed(arguments, preset)
     print(f"preset {options.preset}: {why}")
     try:
+        if options.preset != preset:
+            raise UserError(f"both {preset} and {options.preset} are asked for; expected one.")
         scores = train(options)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)

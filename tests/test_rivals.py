@@ -489,6 +489,11 @@ def test_the_command_trains_a_rival_and_goes_on(data, tmp_path, capsys):
     assert card.translation == "gt"
 
 
+def test_two_networks_at_once_are_refused(capsys):
+    assert train.main(["--model", "rpnet", "--preset", "small", "--data", "x"]) == 2
+    assert "both rpnet and small are asked for; expected one" in capsys.readouterr().err
+
+
 def test_a_rival_s_loss_that_is_not_finite_stops(data, tmp_path):
     run = options("directionnet", data, tmp_path)
     broken = replace(run, model=replace(run.model, distribution=float("nan")))
