@@ -454,7 +454,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def options(name: str, data: Path, out: Path, **changes: object):
     default = RIVAL_TRAINING[name]
     return replace(
-        default, data=data, out=out, model=TINY[name], max_steps=4, val_every=2, val_pairs=3,
+        default, data=data, out=out, model=TINY[name], max_steps=3, val_every=9, val_pairs=3,
         loading=Loading(batch=2, workers=0), **changes,
     )  # fmt: skip
 
