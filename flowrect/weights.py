@@ -21,7 +21,7 @@ from torch import Tensor
 from flowrect.config import ModelConfig
 from flowrect.model import Rectifier
 from flowrect.rivals import build
-from flowrect.rivals.config import RIVALS, RivalConfig, name_of
+from flowrect.rivals.config import RIVALS, RivalConfig
 from simgen.errors import UserError
 
 if TYPE_CHECKING:
@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     PoseNetwork = Rectifier | Rival
 
 FORMAT = "flowrect-weights-1"
-_RIVAL_FORMAT = "flowrect-{}-1"
 _CONFIGS: dict[str, type[ModelConfig | RivalConfig]] = {
     FORMAT: ModelConfig,
-    **{_RIVAL_FORMAT.format(name): type(config) for name, config in RIVALS.items()},
+    **{f"flowrect-{name}-1": type(config) for name, config in RIVALS.items()},
 }
 """what a file of each format describes"""
 _LATER = {"passes"}
@@ -66,9 +65,7 @@ def save_weights(path: Path, model: PoseNetwork, card: Card) -> None:
     config = model.config
     tensors = {name: x.detach().cpu().contiguous() for name, x in model.state_dict().items()}
     metadata = {
-        "format": FORMAT
-        if isinstance(config, ModelConfig)
-        else _RIVAL_FORMAT.format(name_of(config)),
+        "format": next(f for f, kind in _CONFIGS.items() if kind is type(config)),
         "config": json.dumps(asdict(config)),
         "card": json.dumps(asdict(card)),
     }

@@ -93,8 +93,3 @@ RIVALS: dict[str, RivalConfig] = {
     "directionnet": DirectionNetConfig(),
     "vitpose": ViTPoseConfig(),
 }
-
-
-def name_of(config: RivalConfig) -> str:
-    """Which rival a config is of."""
-    return next(name for name, default in RIVALS.items() if type(default) is type(config))
