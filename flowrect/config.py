@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from flowrect.augment import Augmentation
 from flowrect.loading import Loading
+from flowrect.rivals.config import RIVALS, RivalConfig, ViTPoseConfig
 
-PresetName = Literal["paper", "small"]
+PresetName = Literal["paper", "small", "rpnet", "directionnet", "vitpose"]
 
 
 @dataclass(frozen=True)
@@ -151,15 +152,26 @@ class LoopOptions:
 
 
 @dataclass(frozen=True)
-class TrainOptions(LoopOptions):
+class PoseOptions(LoopOptions):
+    """What every training for the pose of a pair needs to know."""
+
+    preset: PresetName = "paper"
+    """paper on a GPU, small on a CPU if not given; or a rival of the paper's tables. --model NAME
+    says the same"""
+    translation: Literal["gt", "nominal"] = "gt"
+    """t of the prior and of DRectify. gt as in the paper, though it leaks the right camera's yaw
+    and roll; nominal is what a user has"""
+
+
+@dataclass(frozen=True)
+class TrainOptions(PoseOptions):
     """Trains the network on a set of pairs.
 
     The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
-    ``--overfit 4`` should come below 0.02 degrees.
+    ``--overfit 4`` should come below 0.02 degrees. ``--model rpnet``, ``directionnet`` or
+    ``vitpose`` trains a rival instead, which has other options: add ``--help`` to see them.
     """
 
-    preset: PresetName = "paper"
-    """paper on a GPU, small on a CPU if not given"""
     model: ModelConfig = PAPER
     loss: LossWeights = field(default_factory=LossWeights)
     teacher: Literal["exact", "raft", "none"] = "exact"
@@ -170,9 +182,17 @@ class TrainOptions(LoopOptions):
     "torchvision" to let it fetch its own"""
     teacher_device: str = ""
     """where the teacher runs, such as cuda:1; beside the network if not given"""
-    translation: Literal["gt", "nominal"] = "gt"
-    """t of the prior and of DRectify. gt as in the paper, though it leaks the right camera's yaw
-    and roll; nominal is what a user has"""
+
+
+@dataclass(frozen=True)
+class RivalOptions(PoseOptions):
+    """Trains a rival of the paper's tables on the same data, by the same loop.
+
+    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    """
+
+    model: RivalConfig = field(default_factory=ViTPoseConfig)
+    """which rival, and its fields"""
 
 
 @dataclass(frozen=True)
@@ -211,3 +231,18 @@ TRAINING: dict[str, TrainOptions] = {
         warmup_steps=100,
     ),
 }
+
+
+def _rival(preset: PresetName, **changes: Any) -> RivalOptions:
+    return RivalOptions(
+        data=Path("shards"), preset=preset, model=RIVALS[preset], loading=Loading(batch=8),
+        warmup_steps=100, **changes,
+    )  # fmt: skip
+
+
+RIVAL_TRAINING: dict[str, RivalOptions] = {
+    "rpnet": _rival("rpnet", lr=1e-4),
+    "directionnet": _rival("directionnet", lr=1e-3),
+    "vitpose": _rival("vitpose", lr=5e-4, clip=2.5),
+}
+"""for a CPU: smaller batches than the papers', which have 60 or so"""

@@ -10,18 +10,22 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from flowrect.calibration import Projections, projections
 from flowrect.geometry import angles_per_axis_rad
-from flowrect.model import Rectifier
+from flowrect.model import Prediction
 from flowrect.resize import Sizing, sized
 from flowrect.sample import Image, Pair, collate
 from flowrect.weights import Card, find_weights, load_weights
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
+
+if TYPE_CHECKING:
+    from flowrect.weights import PoseNetwork
 
 MIN_CONTRAST = 2.0
 """standard deviation of an image's grey levels (of 255) below which there is nothing to match"""
@@ -34,11 +38,12 @@ class Estimate(Projections):
     R: Array
     """(3, 3) X_right = R X_left + t"""
     t: Array
-    """(3,) that of the prior: the network predicts rotation alone"""
+    """(3,) that of the prior: what is used of a network is rotation alone"""
     correction_deg: Array
     """(3,) of R against the prior, about the right camera's x, y, z"""
-    match_probability: float
-    """mean over the left image of the most probable match's probability, in 0..1"""
+    match_probability: float | None
+    """mean over the left image of the most probable match's probability, in 0..1; None for a
+    network without matches"""
     notes: tuple[str, ...]
     """why the estimate should not be trusted; empty if nothing speaks against it"""
 
@@ -52,7 +57,7 @@ class Estimate(Projections):
 class Calibrator:
     """A network with what is known of its training."""
 
-    network: Rectifier
+    network: PoseNetwork
     card: Card
 
     def estimate(
@@ -90,7 +95,7 @@ class Calibrator:
             R=R,
             t=t,
             correction_deg=correction,
-            match_probability=float(prediction.log_matches.amax(-1).exp().mean()),
+            match_probability=_match_probability(prediction),
             notes=notes,
         )
 
@@ -108,6 +113,12 @@ class Calibrator:
 def load_model(name_or_path: str | Path) -> Calibrator:
     """The network of shipped weights (``small``) or of a file of flowrect.train."""
     return Calibrator(*load_weights(find_weights(name_or_path)))
+
+
+def _match_probability(prediction: object) -> float | None:
+    if not isinstance(prediction, Prediction):
+        return None
+    return float(prediction.log_matches.amax(-1).exp().mean())
 
 
 def _checked_pose(T: Array) -> Array:

@@ -87,7 +87,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise UserError(f"{options.out} exists. Choose another name, or say --overwrite.")
         if not options.out.parent.is_dir():
             raise UserError(f"{options.out.parent}: no such folder to write {options.out.name} to.")
-        export(*load_weights(find_weights(options.weights)), options.out)
+        network, card = load_weights(find_weights(options.weights))
+        if not isinstance(network, Rectifier):
+            raise UserError(
+                f"{options.weights} holds a {type(network).__name__}; expected weights of the "
+                "paper's network: rivals are not exported."
+            )
+        export(network, card, options.out)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

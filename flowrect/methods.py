@@ -23,8 +23,10 @@ import numpy as np
 from flowrect.estimate import Calibrator, load_model
 from flowrect.matchers import MATCHERS, load_matcher
 from flowrect.matches import Matches
+from flowrect.rivals.config import RIVALS
 from flowrect.sample import Image
 from flowrect.solvers import SOLVERS, NoSolution, Solver
+from flowrect.weights import SHIPPED
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
@@ -78,7 +80,7 @@ def unrectified(
 
 @dataclass(frozen=True)
 class Network:
-    """A trained network alone; t is the prior's."""
+    """A trained network alone, whichever it is; t is the prior's."""
 
     model: Calibrator
 
@@ -90,6 +92,17 @@ class Network:
             warnings.simplefilter("ignore")  # they are in the notes
             estimate = self.model.estimate(left, right, K_left, K_right, prior)
         return PoseEstimate(estimate.R, estimate.t, seconds=seconds, notes=estimate.notes)
+
+
+def rival(name: str) -> Network:
+    """A rival of the paper's tables, with its shipped weights; UserError if there are none."""
+    if (SHIPPED / f"{name}.safetensors").is_file():
+        return Network(_load_model(name))
+    raise UserError(
+        f"method {name!r}: no weights of it are shipped. Train them (python -m flowrect.train "
+        f"--model {name} --data shards --out runs/{name}) and ask for "
+        f"network=runs/{name}/best.safetensors."
+    )
 
 
 @dataclass(frozen=True)
@@ -147,6 +160,7 @@ def _with_network(name: str) -> Method:
 METHODS: dict[str, Callable[[], Method]] = {
     "unrectified": lambda: unrectified,
     **{name: partial(_with_network, name) for name in ("network", "network+3dof", "network+5dof")},
+    **{name: partial(rival, name) for name in RIVALS},
     **{f"{m}+{s}": partial(FromMatches, m, SOLVERS[s]) for m in MATCHERS for s in SOLVERS},
 }
 """made when they are asked for: some take weights"""

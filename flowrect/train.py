@@ -2,6 +2,7 @@
 
 What is minimised and measured is here, the loop in ``flowrect.loop``. Everything that is decided
 before it lies in ``flowrect.config.TrainOptions``; ``--preset`` chooses the defaults of all others.
+``--model rpnet`` and the like train a rival of the paper's tables, by ``RivalOptions``.
 """
 
 from __future__ import annotations
@@ -10,44 +11,53 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 import tyro
 from torch import Tensor
 
 from flowrect import loop
-from flowrect.config import MODELS, TRAINING, TrainOptions
+from flowrect.config import (
+    MODELS,
+    RIVAL_TRAINING,
+    TRAINING,
+    PoseOptions,
+    RivalOptions,
+    TrainOptions,
+)
 from flowrect.drectify import rectify, warp
 from flowrect.flow_network import FlowNetwork, load_flow
 from flowrect.loading import PairLoader
 from flowrect.losses import image_flow_loss, matching_loss, rotation_loss, vertical_flow_loss
 from flowrect.metrics import METRIC_WH, angles_deg, exact_vertical_flow, geodesic_deg
-from flowrect.model import Prediction, Rectifier
+from flowrect.model import Prediction
+from flowrect.rivals.config import RIVALS
 from flowrect.sample import Batch
-from flowrect.weights import Card, find_weights, load_weights, save_weights
+from flowrect.weights import Card, find_weights, load_weights, save_weights, untrained
 from simgen.errors import UserError
 
 OVERFIT_BAR_DEG = 0.02
+AnyOptions = TrainOptions | RivalOptions
 
 
 # --- what is minimised, and what is measured ---------------------------------------------------
 
 
-def prior_translation(batch: Batch, options: TrainOptions) -> Tensor:
+def prior_translation(batch: Batch, options: PoseOptions) -> Tensor:
     """t (B, 3) of the prior."""
     if options.translation == "nominal":
         return batch.t_nominal
-    assert batch.t is not None, "checked by RectifierTask.require"
+    assert batch.t is not None, "checked by Task.require"
     return batch.t
 
 
-def predict(network: torch.nn.Module, batch: Batch, options: TrainOptions) -> Prediction:
-    """One pass, with the nominal rotation as R_init."""
-    prediction: Prediction = network(
+def predict(network: torch.nn.Module, batch: Batch, options: PoseOptions) -> Any:
+    """One pass, with the nominal rotation as R_init: a Prediction of that network."""
+    return network(
         batch.left, batch.right, batch.K_left, batch.K_right, batch.R_nominal,
         prior_translation(batch, options),
     )  # fmt: skip
-    return prediction
 
 
 def loss_terms(
@@ -90,7 +100,9 @@ def _flow_of(teacher: FlowNetwork, left: Tensor, right: Tensor) -> Tensor:
 
 
 @torch.inference_mode()
-def validate(network: Rectifier, loader: PairLoader, options: TrainOptions) -> dict[str, float]:
+def validate(
+    network: torch.nn.Module, loader: PairLoader, options: PoseOptions
+) -> dict[str, float]:
     """Mean |angle| per axis and geodesic [°], and vertical flow [px], over the loader's pairs."""
     device = next(network.parameters()).device
     rows = []
@@ -98,7 +110,7 @@ def validate(network: Rectifier, loader: PairLoader, options: TrainOptions) -> d
     for batch in loader:
         batch = batch.to(device)
         R, t = predict(network, batch, options).R, prior_translation(batch, options)
-        assert batch.R is not None, "checked by RectifierTask.require"
+        assert batch.R is not None, "checked by Task.require"
         columns = [angles_deg(batch.R, R).abs(), geodesic_deg(batch.R, R)[:, None]]
         if batch.truth is not None:
             rect = rectify(R, t, batch.K_left_metric, batch.K_right_metric, METRIC_WH)
@@ -128,11 +140,7 @@ class RectifierTask:
     def require(self, batch: Batch) -> None:
         """Raises where the data lack what the losses need."""
         options = self.options
-        if batch.R is None:
-            raise UserError(
-                f"{options.data}: {batch.names[0]} has no true pose to train on; for a folder "
-                "whose calibration is the truth, see flowrect.sources."
-            )
+        require_pose(batch, options)
         if batch.truth is None and (options.teacher == "exact" or options.loss.matching):
             raise UserError(
                 f"{options.data}: {batch.names[0]} has no depth, so there is no exact flow; train "
@@ -151,28 +159,72 @@ class RectifierTask:
 
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
-        options = self.options
-        card = Card(
-            preset=next((n for n, model in MODELS.items() if model == options.model), "custom"),
-            prior_range_deg=seen.prior_range_deg,
-            samples=self._samples_before + seen.samples,
-            data=str(options.data.name),
-            translation=options.translation,
-            fit=options.fit,
-            keep=seen.keep,
+        save_weights(path, self.model, make_card(self.options, seen, self._samples_before))
+
+
+class RivalTask:
+    """A rival and the losses of its own paper, as ``flowrect.loop`` trains them."""
+
+    score = "geodesic_deg"
+
+    def __init__(self, options: RivalOptions) -> None:
+        self.options = options
+        self.model, self._samples_before = initial_model(options)
+        self.input_wh = options.model.input_wh
+
+    def require(self, batch: Batch) -> None:
+        """Raises where there is no true pose."""
+        require_pose(batch, self.options)
+
+    def terms(self, network: torch.nn.Module, batch: Batch) -> dict[str, Tensor]:
+        """The weighted terms of the loss."""
+        assert batch.R is not None, "checked by Task.require"
+        assert batch.t is not None, "checked by Task.require"
+        prediction = predict(network, batch, self.options)
+        terms: dict[str, Tensor] = self.model.losses(prediction, batch.R, batch.t)
+        return terms
+
+    def validate(self, loader: PairLoader) -> dict[str, float]:
+        """Angles and vertical flow."""
+        return validate(self.model, loader, self.options)
+
+    def save(self, path: Path, seen: loop.Seen) -> None:
+        """Writes the weights with their card."""
+        save_weights(path, self.model, make_card(self.options, seen, self._samples_before))
+
+
+def require_pose(batch: Batch, options: PoseOptions) -> None:
+    """Raises where there is no true pose to train on."""
+    if batch.R is None:
+        raise UserError(
+            f"{options.data}: {batch.names[0]} has no true pose to train on; for a folder "
+            "whose calibration is the truth, see flowrect.sources."
         )
-        save_weights(path, self.model, card)
 
 
-def initial_model(options: TrainOptions) -> tuple[Rectifier, int]:
+def make_card(options: AnyOptions, seen: loop.Seen, samples_before: int) -> Card:
+    """What is known of the weights now."""
+    presets = {**MODELS, **RIVALS}
+    return Card(
+        preset=next((n for n, model in presets.items() if model == options.model), "custom"),
+        prior_range_deg=seen.prior_range_deg,
+        samples=samples_before + seen.samples,
+        data=str(options.data.name),
+        translation=options.translation,
+        fit=options.fit,
+        keep=seen.keep,
+    )
+
+
+def initial_model(options: AnyOptions) -> tuple[Any, int]:
     """A fresh network, or the one of ``--init``, and how many pairs it has seen."""
     if not options.init:
-        return Rectifier(options.model), 0
+        return untrained(options.model), 0
     network, card = load_weights(find_weights(options.init), expected=options.model)
     return network.train(), card.samples
 
 
-def as_initial(options: TrainOptions) -> TrainOptions:
+def as_initial(options: AnyOptions) -> AnyOptions:
     """The options with the window that the weights of ``--init`` were trained on."""
     if not options.init:
         return options
@@ -185,13 +237,26 @@ def as_initial(options: TrainOptions) -> TrainOptions:
     return replace(options, keep=card.keep)
 
 
-def train(options: TrainOptions) -> dict[str, float]:
+def train(options: AnyOptions) -> dict[str, float]:
     """Trains until the epochs, steps or minutes are over; returns the last validation."""
     options = as_initial(options)
-    return loop.train(lambda: RectifierTask(options), options)
+    return loop.train(lambda: make_task(options), options)
+
+
+def make_task(options: AnyOptions) -> loop.Task:
+    """The paper's network, or a rival."""
+    return RivalTask(options) if isinstance(options, RivalOptions) else RectifierTask(options)
 
 
 # --- the command -------------------------------------------------------------------------------
+
+
+def presets_for_models(arguments: Sequence[str]) -> list[str]:
+    """The arguments with ``--preset NAME`` wherever ``--model NAME`` says the same."""
+    return [
+        "--preset" + a.removeprefix("--model") if a.partition("=")[0] == "--model" else a
+        for a in arguments
+    ]
 
 
 def choose_preset(arguments: Sequence[str]) -> tuple[str, str]:
@@ -205,14 +270,24 @@ def choose_preset(arguments: Sequence[str]) -> tuple[str, str]:
     return "small", "there is no GPU; paper needs one"
 
 
+def parsed(arguments: Sequence[str], preset: str) -> AnyOptions:
+    """The options, with the preset's defaults; a misspelt name is for tyro to refuse."""
+    command: dict[str, Any] = {"args": arguments, "prog": "flowrect.train"}
+    if preset in RIVAL_TRAINING:
+        command["config"] = (tyro.conf.AvoidSubcommands,)  # the preset says which rival it is
+        return tyro.cli(RivalOptions, default=RIVAL_TRAINING[preset], **command)
+    return tyro.cli(TrainOptions, default=TRAINING.get(preset, TRAINING["small"]), **command)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something, 1 if an overfit check fails."""
-    arguments = sys.argv[1:] if arguments is None else arguments
+    arguments = presets_for_models(sys.argv[1:] if arguments is None else arguments)
     preset, why = choose_preset(arguments)
-    default = TRAINING.get(preset, TRAINING["small"])  # a misspelt name is for tyro to refuse
-    options = tyro.cli(TrainOptions, default=default, args=arguments, prog="flowrect.train")
+    options = parsed(arguments, preset)
     print(f"preset {options.preset}: {why}")
     try:
+        if options.preset != preset:
+            raise UserError(f"both {preset} and {options.preset} are asked for; expected one.")
         scores = train(options)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -1,8 +1,8 @@
 """Weights in files: safetensors with the network's config in the header. Nothing is unpickled.
 
-The header's metadata holds ``format``, ``config`` (JSON of ModelConfig) and ``card`` (JSON of
-:class:`Card`: where the weights come from and what they were trained for), so a file is enough to
-build the network again.
+The header's metadata holds ``format`` (which says what network it is), ``config`` (JSON of
+ModelConfig, or of the rival's) and ``card`` (JSON of :class:`Card`: where the weights come from and
+what they were trained for), so a file is enough to build the network again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 from safetensors import SafetensorError, safe_open
@@ -20,9 +20,21 @@ from torch import Tensor
 
 from flowrect.config import ModelConfig
 from flowrect.model import Rectifier
+from flowrect.rivals import build
+from flowrect.rivals.config import RIVALS, RivalConfig
 from simgen.errors import UserError
 
+if TYPE_CHECKING:
+    from flowrect.rivals import Rival
+
+    PoseNetwork = Rectifier | Rival
+
 FORMAT = "flowrect-weights-1"
+_CONFIGS: dict[str, type[ModelConfig | RivalConfig]] = {
+    FORMAT: ModelConfig,
+    **{f"flowrect-{name}-1": type(config) for name, config in RIVALS.items()},
+}
+"""what a file of each format describes"""
 _LATER = {"passes"}
 """fields of ModelConfig whose default is what networks did before there was a field"""
 SHIPPED = Path(__file__).with_name("weights_data")
@@ -33,7 +45,7 @@ class Card:
     """What is known of trained weights."""
 
     preset: str
-    """paper or small, or "custom" where a field differs"""
+    """paper, small or a rival's name, or "custom" where a field differs"""
     prior_range_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """largest |R_gt R_priorᵀ| about x, y, z seen in training"""
     samples: int = 0
@@ -48,12 +60,13 @@ class Card:
     """share of the window that was kept"""
 
 
-def save_weights(path: Path, model: Rectifier, card: Card) -> None:
+def save_weights(path: Path, model: PoseNetwork, card: Card) -> None:
     """Writes a file that ``load_weights`` reads, atomically."""
+    config = model.config
     tensors = {name: x.detach().cpu().contiguous() for name, x in model.state_dict().items()}
     metadata = {
-        "format": FORMAT,
-        "config": json.dumps(asdict(model.config)),
+        "format": next(f for f, kind in _CONFIGS.items() if kind is type(config)),
+        "config": json.dumps(asdict(config)),
         "card": json.dumps(asdict(card)),
     }
     partial = path.with_name(path.name + ".partial")
@@ -61,7 +74,9 @@ def save_weights(path: Path, model: Rectifier, card: Card) -> None:
     os.replace(partial, path)
 
 
-def load_weights(path: Path, *, expected: ModelConfig | None = None) -> tuple[Rectifier, Card]:
+def load_weights(
+    path: Path, *, expected: ModelConfig | RivalConfig | None = None
+) -> tuple[PoseNetwork, Card]:
     """The network of a file, in evaluation mode on the CPU, and its card.
 
     Args:
@@ -77,11 +92,16 @@ def load_weights(path: Path, *, expected: ModelConfig | None = None) -> tuple[Re
             f"{path} holds weights of another network: {_differences(config, expected)}. Choose "
             "the preset and the fields that it was trained with, or other weights."
         )
-    model = Rectifier(config)
+    model = untrained(config)
     tensors = load_file(path)
     _check_tensors(path, tensors, model.state_dict())
     model.load_state_dict(tensors)
     return model.eval(), card
+
+
+def untrained(config: ModelConfig | RivalConfig) -> PoseNetwork:
+    """The network of a config, with random weights."""
+    return Rectifier(config) if isinstance(config, ModelConfig) else build(config)
 
 
 def find_weights(name_or_path: str | Path) -> Path:
@@ -100,19 +120,22 @@ def find_weights(name_or_path: str | Path) -> Path:
     )
 
 
-def config_from_json(text: str) -> ModelConfig:
-    """ModelConfig of its JSON; ValueError if a field is missing, unknown or of the wrong type.
+def config_from_json(
+    text: str, kind: type[ModelConfig | RivalConfig] = ModelConfig
+) -> ModelConfig | RivalConfig:
+    """A config of its JSON; ValueError if a field is missing, unknown or of the wrong type.
 
     Fields of ``_LATER`` may be missing: there were networks before them.
     """
-    names, given = {f.name for f in fields(ModelConfig)}, set(json.loads(text))
+    names, given = {f.name for f in fields(kind)}, set(json.loads(text))
     odd = (names ^ given) - (_LATER - given)
     if odd:
         raise ValueError(f"fields {sorted(odd)} are on one side only")
-    return TypeAdapter(ModelConfig).validate_json(text)
+    config: ModelConfig | RivalConfig = TypeAdapter(kind).validate_json(text)
+    return config
 
 
-def _read_header(path: Path) -> tuple[ModelConfig, Card]:
+def _read_header(path: Path) -> tuple[ModelConfig | RivalConfig, Card]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -121,14 +144,15 @@ def _read_header(path: Path) -> tuple[ModelConfig, Card]:
             f"{path} is no safetensors file ({error}). Pickles (.pt, .pth, .ckpt) are refused, "
             "since reading one runs the code in it; expected a file written by flowrect.train."
         ) from error
-    if metadata.get("format") != FORMAT:
+    kind = _CONFIGS.get(metadata.get("format", ""))
+    if kind is None:
         raise UserError(
             f"{path}: expected format {FORMAT!r} in its header, found {metadata.get('format')!r}; "
             "written by another program or version? Use weights written by flowrect.train."
         )
     try:
         card = TypeAdapter(Card).validate_json(metadata["card"])
-        return config_from_json(metadata["config"]), card
+        return config_from_json(metadata["config"], kind), card
     except (KeyError, ValueError, ValidationError) as error:
         raise UserError(
             f"{path}: its header does not describe a network that this version builds ({error}); "
@@ -136,8 +160,10 @@ def _read_header(path: Path) -> tuple[ModelConfig, Card]:
         ) from error
 
 
-def _differences(found: ModelConfig, expected: ModelConfig) -> str:
+def _differences(found: ModelConfig | RivalConfig, expected: ModelConfig | RivalConfig) -> str:
     """``channels is 64, expected 128; …``"""
+    if type(found) is not type(expected):
+        return f"a {type(found).__name__}, expected a {type(expected).__name__}"
     a, b = asdict(found), asdict(expected)
     return "; ".join(f"{k} is {a[k]!r}, expected {b[k]!r}" for k in a if a[k] != b[k])
 

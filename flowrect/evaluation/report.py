@@ -107,7 +107,7 @@ def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
     for method, color in _colours(groups).items():
         known = [s for s in groups[method] if s.num_matches]
         if known:
-            axes.plot([s.num_matches for s in known], [s.figures["geodesic_deg"] for s in known],
+            axes.plot([s.num_matches or 0 for s in known], [s.figures["geodesic_deg"] for s in known],
                       ".", markersize=3, color=color, label=method, alpha=0.6)  # fmt: skip
     pair = pairs[0].input
     num = np.geomspace(20, 20_000, 50)
