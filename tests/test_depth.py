@@ -1,13 +1,18 @@
-"""Depth from a rectified pair: its geometry and its errors by range; block matching."""
+"""Depth of a rectified pair: its geometry, errors by range, and matchers that need no training."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 import torch
+from onnx import TensorProto
+from onnx.helper import make_graph, make_model, make_node, make_opsetid, make_tensor_value_info
+from onnx.numpy_helper import from_array
 from planes import planar_pair
 from scipy.spatial.transform import Rotation
 
@@ -272,6 +277,76 @@ def test_no_match_lies_outside_the_right_image():
     assert found.dtype == np.float32
 
 
+# --- networks from elsewhere -------------------------------------------------------------------
+
+
+def onnx_file(path: Path, *, weight: np.ndarray, hw: tuple = ("h", "w"), inputs: int = 2) -> Path:
+    """One convolution (1, 6, 3, 3) of both images."""
+    names = ["left", "right", "more"][:inputs]
+    image = [make_tensor_value_info(n, TensorProto.FLOAT, [1, 3, *hw]) for n in names]
+    nodes = [
+        make_node("Concat", names, ["both"], axis=1),
+        make_node("Conv", ["both", "weight"], ["disparity"], pads=[1, 1, 1, 1]),
+    ]
+    answer = make_tensor_value_info("disparity", TensorProto.FLOAT, [1, "c", *hw])
+    graph = make_graph(nodes, "tiny", image, [answer], [from_array(weight, "weight")])
+    onnx.save(make_model(graph, opset_imports=[make_opsetid("", 17)], ir_version=9), path)
+    return path
+
+
+def noise_images(hw: tuple[int, int]) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 255, (2, *hw, 3), dtype=np.uint8)
+
+
+def random_weight(outputs: int = 1, channels: int = 6) -> np.ndarray:
+    return np.random.default_rng(1).random((outputs, channels, 3, 3), dtype=np.float32)
+
+
+def test_an_onnx_file_answers_what_its_operators_say(tmp_path, monkeypatch, worst):
+    weight = random_weight()
+    path = onnx_file(tmp_path / "tiny.onnx", weight=weight)
+    left, right = noise_images((40, 50))
+    found = load_stereo("onnx", largest_px=9, weights=str(path))(left, right)
+    both = torch.from_numpy(np.concatenate([left, right], -1)).permute(2, 0, 1)[None].float()
+    expected = torch.nn.functional.conv2d(both, torch.from_numpy(weight), padding=1)[0, 0].numpy()
+    assert found.shape == (40, 50)
+    inner = (slice(None, -1), slice(None, -1))  # the last ones see the padding
+    worst("ONNX against torch", found[inner] / expected[inner] - 1, 1e-4, "-")
+    monkeypatch.setenv("FLOWRECT_STEREO_ONNX", str(path))
+    np.testing.assert_array_equal(load_stereo("onnx", largest_px=9)(left, right), found)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"weight": -random_weight()}, "most of its disparities are negative"),
+        ({"weight": random_weight(2)}, r"its first output is \(1, 2, 64, 64\), expected"),
+        (
+            {"weight": random_weight(), "hw": (32, 96)},
+            "takes images of 96x32 only, these are 50x40",
+        ),
+        ({"weight": random_weight(1, 9), "inputs": 3}, "expected two of float32"),
+    ],
+    ids=["sign", "channels", "size", "inputs"],
+)
+def test_an_onnx_file_that_breaks_the_contract_is_refused(changes, message, tmp_path):
+    path = onnx_file(tmp_path / "tiny.onnx", **changes)
+    with pytest.raises(UserError, match=message):
+        load_stereo("onnx", largest_px=9, weights=str(path))(*noise_images((40, 50)))
+
+
+def test_what_is_no_onnx_file_is_refused(tmp_path, monkeypatch):
+    monkeypatch.delenv("FLOWRECT_STEREO_ONNX", raising=False)
+    torch.save({}, tmp_path / "dlnr.pth")
+    for weights, message in (
+        (str(tmp_path / "dlnr.pth"), "is no ONNX file that onnxruntime runs"),
+        (str(tmp_path / "absent.onnx"), "no such file. Export a network"),
+        ("", "no file is named. Export a network"),
+    ):
+        with pytest.raises(UserError, match=message):
+            load_stereo("onnx", largest_px=9, weights=weights)
+
+
 def test_an_unknown_matcher_is_refused():
-    with pytest.raises(UserError, match="stereo matcher 'x': expected one of sgbm"):
+    with pytest.raises(UserError, match="stereo matcher 'x': expected one of sgbm, hitnet, onnx"):
         load_stereo("x", largest_px=10)

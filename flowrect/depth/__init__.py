@@ -8,27 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flowrect.depth import sgbm
+from flowrect.depth.external import onnx_matcher
+from flowrect.depth.hitnet_weights import hitnet_matcher
 from flowrect.sample import Image
 from simgen.errors import UserError
 
-
-class StereoMatcher(Protocol):
-    """Rectified images (H, W, 3) uint8 RGB to disparity.
-
-    Disparity is u_left − u_right ≥ 0 on left pixels (H, W) float32 [px], NaN where unknown.
-    """
-
-    def __call__(self, left: Image, right: Image) -> NDArray[np.float32]: ...
-
+StereoMatcher = Callable[[Image, Image], NDArray[np.float32]]
+"""rectified left and right images (H, W, 3) uint8 RGB to u_left − u_right ≥ 0 on left pixels,
+(H, W) [px], NaN where unknown"""
 
 STEREO: dict[str, Callable[[float, str], StereoMatcher]] = {
     "sgbm": lambda largest_px, _: partial(sgbm.disparity, largest_px=largest_px),
+    "hitnet": lambda largest_px, weights: hitnet_matcher(weights, largest_px),
+    "onnx": lambda _, weights: onnx_matcher(weights),
 }
 """made of the largest disparity that can occur [px], and of weights where there are any"""
 

@@ -26,8 +26,9 @@ class Sgbm:
 
     block: int = 5
     """side of a block [px], odd"""
-    mode: int = cv2.STEREO_SGBM_MODE_HH
-    """HH sums costs along 8 directions; SGBM along 5, SGBM_3WAY along 3: faster"""
+    mode: int = cv2.STEREO_SGBM_MODE_SGBM_3WAY
+    """3WAY sums costs along 3 directions, HH along 8: twice the time, and on rendered roads fewer
+    pixels pass the uniqueness check (57 % against 81 % within 10 m) with no smaller errors"""
     left_right_px: int = 1
     """largest difference of a pixel's disparity and that of where it went"""
     uniqueness_percent: int = 10
