@@ -218,7 +218,7 @@ class HitnetConfig:
     """of the residual blocks of propagation"""
     refine_hidden: tuple[int, int, int] = (32, 24, 16)
     """channels of the last refinements, at tiles of 4, 2 and 1 px"""
-    refine_dilations: tuple[int, ...] = (1, 2, 1)
+    refine_dilations: tuple[int, ...] = (1, 2)
     """of their residual blocks; the paper has (1, 2, 4, 8, 1, 1) at 4 px"""
 
 

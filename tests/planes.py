@@ -1,4 +1,4 @@
-"""Rectified pairs of textured planes, rendered in closed form: disparity a + b u + c v each."""
+"""Pairs of textured planes in closed form: rectified ones, and one plane seen by a turned rig."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
 
-from flowrect.sample import Image
+from flowrect.correspondences import Correspondences
+from flowrect.sample import Image, Pair
+from simgen.geometry import transform
 
 Plane = tuple[float, float, float]
 """a, b, c: disparity a + b u + c v at left pixel (u, v)"""
@@ -76,3 +80,43 @@ def _painted(
     maps = [(x.astype(np.float32) + 100, v.astype(np.float32)) for x in (u, _source(plane, u, v))]
     first, second = (cv2.remap(noise, *m, cv2.INTER_CUBIC) for m in maps)
     return np.clip(first, 0, 255), np.clip(second, 0, 255)
+
+
+# --- a rig in front of one plane ---------------------------------------------------------------
+
+WH = (192, 96)
+K = np.array([[96.0, 0, 95.5], [0, 96.0, 47.5], [0, 0, 1]])
+BASELINE_M = 1.5
+
+
+def turned(x: float = 0, y: float = 0, z: float = 0) -> torch.Tensor:
+    """(1, 3, 3) of a rotation vector [°]."""
+    return torch.from_numpy(Rotation.from_rotvec([x, y, z], degrees=True).as_matrix())[None]
+
+
+def along_x() -> torch.Tensor:
+    return torch.tensor([[-BASELINE_M, 0.0, 0.0]], dtype=torch.float64)
+
+
+def plane_truth(normal: np.ndarray, R: torch.Tensor, t: torch.Tensor) -> Correspondences:
+    """All left pixels of a plane n·X = 1 of the left camera frame."""
+    u, v = np.meshgrid(np.arange(WH[0]), np.arange(WH[1]))
+    rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(K).T
+    depth = 1 / (rays @ normal)
+    X_right = (rays * depth[:, None]) @ R[0].numpy().T + t[0].numpy()
+    seen = np.ones(len(rays), bool)
+    return Correspondences(rays, X_right / X_right[:, 2:], seen, seen, depth)
+
+
+def plane_pair(R: torch.Tensor, t: torch.Tensor, normal: np.ndarray) -> Pair:
+    """A textured plane n·X = 1 seen by two cameras."""
+    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=(200, 400, 3)), (0, 0), 1.2)
+    canvas = np.clip(127 + 50 * noise / noise.std(), 0, 255).astype(np.uint8)
+    K_canvas = K + np.array(
+        [[0, 0, 100], [0, 0, 50], [0, 0, 0]]
+    )  # a wider view from the left camera
+    to_right = K @ (R[0].numpy() + np.outer(t[0].numpy(), normal)) @ np.linalg.inv(K_canvas)
+    left = canvas[50 : 50 + WH[1], 100 : 100 + WH[0]].copy()
+    right = cv2.warpPerspective(canvas, to_right, WH, flags=cv2.INTER_CUBIC)
+    T = transform(R[0].numpy(), t[0].numpy())
+    return Pair(left, right, K, K, T, T, truth=plane_truth(normal, R, t), name="plane")

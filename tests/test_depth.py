@@ -13,10 +13,8 @@ import torch
 from onnx import TensorProto
 from onnx.helper import make_graph, make_model, make_node, make_opsetid, make_tensor_value_info
 from onnx.numpy_helper import from_array
-from planes import planar_pair
-from scipy.spatial.transform import Rotation
+from planes import BASELINE_M, WH, K, along_x, planar_pair, plane_pair, plane_truth, turned
 
-from flowrect.correspondences import Correspondences
 from flowrect.depth import load_stereo, sgbm
 from flowrect.depth.frame import DepthFrame, depth_frame
 from flowrect.depth_error import (
@@ -28,41 +26,15 @@ from flowrect.depth_error import (
     shown_truth,
 )
 from flowrect.drectify import Rectification, rectify
-from flowrect.sample import Pair
 from simgen.errors import UserError
-from simgen.geometry import transform
-
-WH = (192, 96)
-K = np.array([[96.0, 0, 95.5], [0, 96.0, 47.5], [0, 0, 1]])
-BASELINE_M = 1.5
-
 
 # --- geometry ----------------------------------------------------------------------------------
-
-
-def turned(x: float = 0, y: float = 0, z: float = 0) -> torch.Tensor:
-    """(1, 3, 3) of a rotation vector [°]."""
-    return torch.from_numpy(Rotation.from_rotvec([x, y, z], degrees=True).as_matrix())[None]
 
 
 def rectified_by(R: torch.Tensor, t: torch.Tensor) -> tuple[Rectification, DepthFrame]:
     rect = rectify(R, t, torch.from_numpy(K)[None], torch.from_numpy(K)[None], WH,
                    K_new=torch.from_numpy(K))  # fmt: skip
     return rect, depth_frame(rect, t)
-
-
-def along_x() -> torch.Tensor:
-    return torch.tensor([[-BASELINE_M, 0.0, 0.0]], dtype=torch.float64)
-
-
-def plane_truth(normal: np.ndarray, R: torch.Tensor, t: torch.Tensor) -> Correspondences:
-    """All left pixels of a plane n·X = 1 of the left camera frame."""
-    u, v = np.meshgrid(np.arange(WH[0]), np.arange(WH[1]))
-    rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(K).T
-    depth = 1 / (rays @ normal)
-    X_right = (rays * depth[:, None]) @ R[0].numpy().T + t[0].numpy()
-    seen = np.ones(len(rays), bool)
-    return Correspondences(rays, X_right / X_right[:, 2:], seen, seen, depth)
 
 
 def plane_disparity(
@@ -132,20 +104,6 @@ def test_a_yaw_error_biases_the_mean_and_leaves_coverage():
     assert rows[1].bias_m == pytest.approx(0, abs=1e-9)
     assert rows[2].bias_m < -3
     assert min(row.coverage for row in rows) > 0.98
-
-
-def plane_pair(R: torch.Tensor, t: torch.Tensor, normal: np.ndarray) -> Pair:
-    """A textured plane n·X = 1 seen by two cameras."""
-    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=(200, 400, 3)), (0, 0), 1.2)
-    canvas = np.clip(127 + 50 * noise / noise.std(), 0, 255).astype(np.uint8)
-    K_canvas = K + np.array(
-        [[0, 0, 100], [0, 0, 50], [0, 0, 0]]
-    )  # a wider view from the left camera
-    to_right = K @ (R[0].numpy() + np.outer(t[0].numpy(), normal)) @ np.linalg.inv(K_canvas)
-    left = canvas[50 : 50 + WH[1], 100 : 100 + WH[0]].copy()
-    right = cv2.warpPerspective(canvas, to_right, WH, flags=cv2.INTER_CUBIC)
-    T = transform(R[0].numpy(), t[0].numpy())
-    return Pair(left, right, K, K, T, T, truth=plane_truth(normal, R, t), name="plane")
 
 
 def test_a_pitch_error_makes_matching_fail():

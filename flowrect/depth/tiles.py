@@ -86,9 +86,9 @@ def tile_costs(left: Tensor, right: Tensor, num: int) -> Tensor:
 
     Source: Eq. 1.
     """
-    u = TILE * torch.arange(left.shape[-1], device=left.device)
+    outside = F.pad(right, (num - 1, 0), value=float("inf"))  # views of it, no copies
     costs = [
-        (left - right[..., (u - d).clamp(min=0)]).abs().sum(1).masked_fill(u < d, float("inf"))
+        (left - outside[..., num - 1 - d :: TILE][..., : left.shape[-1]]).abs().sum(1)
         for d in range(num)
     ]
     return torch.stack(costs, dim=1)
