@@ -58,10 +58,8 @@ def network(seed: int = 0, *, zero_heads: bool = True) -> Hitnet:
     torch.manual_seed(seed)
     net = Hitnet(TINY)
     if not zero_heads:
-        for name, parameter in net.named_parameters():
-            if not parameter.any():
-                torch.nn.init.normal_(parameter, std=0.05)
-                assert "update" in name
+        for module in (*net.updates, *net.refinements):
+            torch.nn.init.normal_(module.update[-1].weight, std=0.05)
     return net
 
 

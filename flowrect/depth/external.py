@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,7 @@ def onnx_matcher(weights: str = "") -> OnnxStereo:
     return OnnxStereo(_session(name), Path(name).name)
 
 
+@cache
 def _session(name: str) -> Any:
     try:
         import onnxruntime

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from flowrect.sample import Image
 
 SLOPE = 0.2
 """of the leaky ReLUs"""
+C = TypeVar("C", nn.Conv2d, nn.ConvTranspose2d)
 
 
 class Init(NamedTuple):
@@ -133,13 +134,13 @@ class Features(nn.Module):
         self.first = nn.Sequential(*_convolution(3, first, 3), *_convolution(first, first, 3))
         self.down = nn.ModuleList(
             nn.Sequential(
-                nn.Conv2d(a, b, 2, stride=2), nn.LeakyReLU(SLOPE),
+                _he(nn.Conv2d(a, b, 2, stride=2)), nn.LeakyReLU(SLOPE),
                 *_convolution(b, b, 3), *_convolution(b, b, 3),
             )
             for a, b in steps
         )  # fmt: skip
         self.up = nn.ModuleList(
-            nn.Sequential(nn.ConvTranspose2d(b, a, 2, stride=2), nn.LeakyReLU(SLOPE))
+            nn.Sequential(_he(nn.ConvTranspose2d(b, a, 2, stride=2)), nn.LeakyReLU(SLOPE))
             for a, b in steps
         )
         self.joined = nn.ModuleList(
@@ -164,7 +165,7 @@ class Initialisation(nn.Module):
         super().__init__()
         c = config.tile_channels
         self.max_disparity = config.max_disparity
-        self.tile = nn.Conv2d(channels, c, TILE)
+        self.tile = _he(nn.Conv2d(channels, c, TILE))
         self.mix = nn.Sequential(nn.LeakyReLU(SLOPE), *_convolution(c, c, 1))
         self.describe = nn.Sequential(*_convolution(c + 1, config.descriptor, 1))
 
@@ -246,7 +247,7 @@ class Residual(nn.Module):
         super().__init__()
         self.body = nn.Sequential(
             *_convolution(channels, channels, 3, dilation),
-            nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation),
+            _he(nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation)),
         )
 
     def forward(self, x: Tensor) -> Tensor:
@@ -277,6 +278,14 @@ def _update(inputs: int, hidden: int, dilations: tuple[int, ...], outputs: int) 
 def _convolution(inputs: int, outputs: int, side: int, dilation: int = 1) -> list[nn.Module]:
     padding = dilation * (side // 2)
     return [
-        nn.Conv2d(inputs, outputs, side, padding=padding, dilation=dilation),
+        _he(nn.Conv2d(inputs, outputs, side, padding=padding, dilation=dilation)),
         nn.LeakyReLU(SLOPE),
     ]
+
+
+def _he(layer: C) -> C:
+    """He's start: without normalisation, PyTorch's own shrinks features until tiles look alike."""
+    nn.init.kaiming_normal_(layer.weight, SLOPE)
+    if layer.bias is not None:
+        nn.init.zeros_(layer.bias)
+    return layer

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,7 @@ def hitnet_matcher(
             f"hitnet: no weights are shipped. Train some with {HOW_TO_TRAIN}, and name the file, "
             f"or set {VARIABLE} to it."
         )
-    network, _ = load_hitnet(Path(name))
+    network = _loaded(Path(name))
     if largest_px > network.config.max_disparity:
         raise UserError(
             f"{name} looks for disparities up to {network.config.max_disparity} px, but "
@@ -92,3 +93,9 @@ def hitnet_matcher(
             "with a greater --model.max-disparity."
         )
     return network.match
+
+
+@cache
+def _loaded(path: Path) -> Hitnet:
+    network, _ = load_hitnet(path)
+    return network
