@@ -1,9 +1,10 @@
 """HITNet: tiles of disparity, initialised fast, then propagated from coarse to fine.
 
 Source: Tankovich et al., *HITNet: Hierarchical Iterative Tile Refinement Network for Real-time
-Stereo Matching*, CVPR 2021. Written from the paper; where the text leaves a choice, or this one
-differs, the place says so. Level l has 1 / 2^l of the resolution; ``flowrect.depth.tiles`` says
-what a hypothesis is. No weights are shipped: ``python -m flowrect.train_depth`` trains some.
+Stereo Matching*, CVPR 2021. Level l has 1 / 2^l of the resolution; ``flowrect.depth.tiles`` says
+what a hypothesis is. Deviations: narrower and shallower (``HitnetConfig``); the truth is points
+between pixels, not a map (``hitnet_loss``); where weights start is our choice, the paper does not
+say. No weights are shipped: ``python -m flowrect.train_depth`` trains some.
 """
 
 from __future__ import annotations

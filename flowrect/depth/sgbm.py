@@ -1,7 +1,8 @@
 """Semi-global block matching (Hirschmüller, PAMI 2008) by OpenCV; nothing is learned.
 
 Set up as OpenCV's own sample is: P1 and P2 are 8 and 32 times the channels and pixels of a block,
-neighbours in colour, a left-right check, and small islands of odd disparity removed.
+costs of all three colours, a left-right check, and small islands of odd disparity removed.
+Disparity below 0, which a wrong yaw gives to what is far, is not looked for.
 """
 
 from __future__ import annotations
