@@ -143,13 +143,13 @@ def records(tallies: dict[str, Tally]) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]], title: str) -> Table:
-    """MAE, median and bias [m] and coverage by range, and the mean of the ranges' MAE."""
+    """MAE, median and bias [m], and coverage, by range, and the mean of the ranges' MAE."""
     ranges = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
     result = Table("", *ranges, "mean MAE", title=title)
     for name in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == name]
         cells = [
-            f"{r['mae_m']:.2f} / {r['median_m']:.2f} / {r['bias_m']:+.2f}, {r['coverage']:.0%}"
+            f"{r['mae_m']:.2f} / {r['median_m']:.2f} / {r['bias_m']:+.2f}\n{r['coverage']:.0%}"
             for r in own
         ]
         failed = f" ({own[0]['failed_pairs']} failed)" if own[0]["failed_pairs"] else ""
@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.out is not None:
         options.out.write_text("".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8")
     num = len(tallies[TRUTH].samples)
-    title = f"{options.stereo}, {num} pairs: MAE / median / bias [m], share of pixels answered"
+    title = f"{options.stereo}, {num} pairs: MAE / median / bias in m, pixels with an answer"
     Console(width=200).print(table(rows, title))
     return 0
 

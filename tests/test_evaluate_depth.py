@@ -46,7 +46,9 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_counted(
     given = ["--data", str(data), "--limit", "2", "--methods", "unrectified", "failing",
              "--out", str(tmp_path / "rows.jsonl")]  # fmt: skip
     assert main(given) == 0
-    assert "failing (2 failed)" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "failing (2 failed)" in printed
+    assert "bias in m" in printed
     rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
     pixels = {
         name: [r["pixels"] for r in rows if r["method"] == name]
