@@ -22,10 +22,10 @@ MARGIN = 1.0
 APART_PX = 1.5
 """a match that is this far from the truth is wrong; so is a hypothesis (C2)"""
 NEAR_PX = 1.0
-"""a hypothesis this near is right (B and C1). Errors count no further (A), but in the last stage:
-there nothing else could mend them; a choice of ours"""
+"""a hypothesis this near is right (B and C1)"""
 ALPHA, WIDTH_PX = 0.9, 0.1
-"""shape α and scale c of Barron's robust loss"""
+"""shape α and scale c of Barron's robust loss. The paper can cut errors off (A); exact truth has no
+outliers to cut, so A = ∞"""
 WINDOW = 9
 """side of the square whose points a slope is fitted to [px]"""
 FLAT_PX = 0.3
@@ -53,10 +53,7 @@ def loss_terms(
     """The weighted terms, each a mean over what counts, summed over levels and stages."""
     slopes, flat = fitted_slopes(truth)
     terms = {"init": torch.stack([init_loss(x, truth) for x in prediction.inits]).sum()}
-    parts = [
-        stage_losses(stage, truth, slopes, flat, last=stage is prediction.stages[-1])
-        for stage in prediction.stages
-    ]
+    parts = [stage_losses(stage, truth, slopes, flat) for stage in prediction.stages]
     for name in ("disparity", "slant", "confidence"):
         terms[name] = torch.stack([part[name] for part in parts if name in part]).sum()
     return {name: getattr(weights, name) * term for name, term in terms.items()}
@@ -96,16 +93,15 @@ def nearest_of_tile(truth: PointTruth, scale: int) -> Tensor:
 
 
 def stage_losses(
-    stage: Stage, truth: PointTruth, slopes: Tensor, flat: Tensor, *, last: bool
+    stage: Stage, truth: PointTruth, slopes: Tensor, flat: Tensor
 ) -> dict[str, Tensor]:
     """Means over known points of Eq. 11 to 14; slopes (B, N, 2) count where ``flat`` (B, N)."""
     disparity, slants, confidence = at_points(stage, truth)
     error = disparity - truth.disparity
     size = error.detach().abs()
-    limited = error if last else error.clamp(-NEAR_PX, NEAR_PX)
     near = truth.known & (size < NEAR_PX)
     losses = {
-        "disparity": _mean(robust(limited), truth.known),
+        "disparity": _mean(robust(error), truth.known),
         "slant": _mean((slants - slopes).abs().sum(-1), near & flat),
     }
     if confidence is not None:
