@@ -219,6 +219,61 @@ class FlowOptions(LoopOptions):
     """of that pose, each component of its rotation vector within ± this"""
 
 
+@dataclass(frozen=True)
+class HitnetConfig:
+    """HITNet, compact: for 512x256 on a CPU. The paper's is about twice as wide and deep."""
+
+    channels: tuple[int, ...] = (16, 16, 24, 24)
+    """of the feature maps at 1, 1/2, 1/4, …; as many as there are resolutions. The paper has five:
+    (16, 16, 24, 24, 32)"""
+    max_disparity: int = 208
+    """disparities [px] that are searched: 205 is 2 m, for a baseline of 1.6 m and 512 px of 90°"""
+    tile_channels: int = 16
+    """of the features that whole tiles are compared by"""
+    descriptor: int = 13
+    """numbers that a tile carries beside its plane"""
+    hidden: int = 32
+    """channels of propagation"""
+    dilations: tuple[int, ...] = (1, 1)
+    """of the residual blocks of propagation"""
+    refine_hidden: tuple[int, int, int] = (32, 24, 16)
+    """channels of the last refinements, at tiles of 4, 2 and 1 px"""
+    refine_dilations: tuple[int, ...] = (1, 2)
+    """of their residual blocks; the paper has (1, 2, 4, 8, 1, 1) at 4 px"""
+
+
+@dataclass(frozen=True)
+class HitnetLoss:
+    """Weights of the terms of HITNet's loss; 1 each in the paper."""
+
+    init: float = 1.0
+    """tiles of one place are alike, others are not [1/feature]"""
+    disparity: float = 1.0
+    """robust error of every hypothesis at every resolution"""
+    slant: float = 1.0
+    """error of slopes where the disparity is right to a pixel [px/px]"""
+    confidence: float = 1.0
+    """the surer hypothesis is the better one"""
+
+
+@dataclass(frozen=True)
+class DepthOptions(LoopOptions):
+    """Trains HITNet on exact disparity of rendered pairs, rectified by the truth.
+
+    The same command again resumes where the last one stopped.
+    """
+
+    out: Path = Path("runs/hitnet")
+    loading: Loading = field(default_factory=lambda: Loading(batch=4))
+    truth_points: int = 65536
+    """about how many exact correspondences a pair carries; slopes are fitted to them, so that
+    several should fall on a tile of 4x4 pixels of 512x256"""
+    model: HitnetConfig = field(default_factory=HitnetConfig)
+    loss: HitnetLoss = field(default_factory=HitnetLoss)
+    lr: float = 4e-4
+    warmup_steps: int = 100
+
+
 TRAINING: dict[str, TrainOptions] = {
     "paper": TrainOptions(data=Path("shards")),
     "small": TrainOptions(

@@ -1,0 +1,181 @@
+"""Depth error by range: what a rectification is worth to a stereo matcher (paper, section 5.2).
+
+The disparity of an *estimated* rectification gives points of the estimate's rectified left frame.
+They are turned back to the left camera by the estimate's own R_left and compared there, pixel by
+pixel, with the z that the pixel truly has: a point lies on the ray of its pixel whatever the
+estimate, so z_left = z_rectified / (R_left ray)_z for a ray with z = 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flowrect.correspondences import Correspondences
+from flowrect.depth import StereoMatcher
+from flowrect.depth.frame import DepthFrame
+from flowrect.drectify import Rectification, warp
+from flowrect.geometry import inside, project
+from flowrect.sample import Image, Pair
+from simgen.errors import UserError
+
+Float = NDArray[np.float64]
+
+EDGES_M = (0.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0)
+"""of the ranges of Fig. 4, [0, 300] m"""
+EDGE_PX = 1.0
+"""four neighbours whose disparities differ by more lie on two surfaces"""
+ROUNDING_PX = 1e-6
+"""what a pixel on the border may seem to lie outside"""
+
+
+class RangeError(NamedTuple):
+    """Errors of one range of true depth; NaN where nothing was answered."""
+
+    from_m: float
+    to_m: float
+    pixels: int
+    """that both cameras see, at this depth"""
+    answered: int
+    """of those, with a depth"""
+    mae_m: float
+    median_m: float
+    """of |estimated − true|"""
+    bias_m: float
+    """mean of estimated − true"""
+
+    @property
+    def coverage(self) -> float:
+        """Share of the pixels that were answered."""
+        return self.answered / self.pixels if self.pixels else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSamples:
+    """True and estimated z in the left camera frame [m] of pixels that both cameras see."""
+
+    true_m: Float
+    """(N,)"""
+    estimated_m: Float
+    """(N,) NaN where there is no answer"""
+
+    @staticmethod
+    def joined(samples: Sequence[DepthSamples]) -> DepthSamples:
+        """Those of several pairs."""
+        true, estimated = ([getattr(s, n) for s in samples] for n in ("true_m", "estimated_m"))
+        return DepthSamples(np.concatenate(true), np.concatenate(estimated))
+
+    def by_range(self, edges_m: Sequence[float] = EDGES_M) -> list[RangeError]:
+        """One row for each range of *true* depth, from ≤ z < to.
+
+        An estimate beyond the last edge counts as one at the last edge: one pixel at 10 km would
+        outweigh a hundred thousand others. So does one at infinity, an answer as well.
+        """
+        return [self._of_range(a, b, edges_m[-1]) for a, b in pairwise(edges_m)]
+
+    def _of_range(self, from_m: float, to_m: float, limit_m: float) -> RangeError:
+        within = (self.true_m >= from_m) & (self.true_m < to_m)
+        error = np.minimum(self.estimated_m[within], limit_m) - self.true_m[within]
+        error = error[~np.isnan(error)]
+        figures = (float("nan"),) * 3
+        if error.size:
+            size = np.abs(error)
+            figures = (float(size.mean()), float(np.median(size)), float(error.mean()))
+        return RangeError(from_m, to_m, int(within.sum()), error.size, *figures)
+
+
+def depth_samples(
+    disparity: NDArray[np.floating], frame: DepthFrame, truth: Correspondences
+) -> DepthSamples:
+    """Estimated depth at the left pixels of one pair that both cameras see.
+
+    Args:
+      disparity: (H, W) u_left − u_right [px] on the rectified left image, NaN where unknown.
+      frame: of the estimate that the pair was rectified by.
+      truth: NumPy fields (N, …); only ``visible`` points at finite depth are looked at.
+    """
+    chosen = truth.visible & (truth.depth > 0)
+    estimated = left_depth(disparity, frame, truth.rays_left[chosen])
+    return DepthSamples(truth.depth[chosen], estimated)
+
+
+def left_depth(disparity: NDArray[np.floating], frame: DepthFrame, rays_left: Float) -> Float:
+    """z in the left *camera* frame (N,) [m] that the disparity gives to rays (N, 3) with z = 1."""
+    rays = rays_left @ frame.R_left.T
+    in_front = rays[:, 2] > 0
+    uvw = rays @ frame.K_new.T
+    uv = uvw[:, :2] / np.where(in_front, uvw[:, 2], np.nan)[:, None]
+    depth: Float = frame.rectified_depth(disparity_at(disparity, uv)) / rays[:, 2]
+    return depth
+
+
+def disparity_at(disparity: NDArray[np.floating], uv: Float) -> Float:
+    """Disparity (N,) at uv (N, 2) [px]; NaN where unknown or outside the hull of pixel centres.
+
+    Bilinear, so exact on planes, where the four pixels around are known and of one surface; else
+    that of the nearest pixel.
+    """
+    h, w = disparity.shape
+    last = np.array([w - 1, h - 1])
+    answer = np.full(len(uv), np.nan)
+    shown = ((uv >= -ROUNDING_PX) & (uv <= last + ROUNDING_PX)).all(1)
+    u, v = np.clip(uv[shown], 0, last).T
+    j, i = (np.clip(np.floor(x).astype(int), 0, n - 2) for x, n in ((u, w), (v, h)))
+    corners = np.stack([disparity[i + a, j + b] for a in (0, 1) for b in (0, 1)]).astype(float)
+    du, dv = u - j, v - i
+    weights = np.stack([(1 - dv) * (1 - du), (1 - dv) * du, dv * (1 - du), dv * du])
+    nearest = disparity[np.rint(v).astype(int), np.rint(u).astype(int)]
+    smooth = np.ptp(corners, axis=0) <= EDGE_PX  # False if one is NaN
+    answer[shown] = np.where(smooth, (weights * corners).sum(0), nearest)
+    return answer
+
+
+# --- of a pair ---------------------------------------------------------------------------------
+
+
+def rectified_images(pair: Pair, rect: Rectification) -> tuple[Image, Image]:
+    """Both images of a pair, rectified at their size; black outside. ``rect`` is a batch of one."""
+    left, right = (
+        _warped(image, K, R, rect)
+        for image, K, R in (
+            (pair.left, pair.K_left, rect.R_left),
+            (pair.right, pair.K_right, rect.R_right),
+        )
+    )
+    return left, right
+
+
+def _warped(image: Image, K: Float, R_rect: torch.Tensor, rect: Rectification) -> Image:
+    planes = torch.from_numpy(image.transpose(2, 0, 1).copy()).float()[None]
+    h, w = image.shape[:2]
+    warped, _ = warp(planes, torch.from_numpy(K)[None], R_rect, rect.K_new, (w, h))
+    rounded: Image = warped[0].round().byte().permute(1, 2, 0).contiguous().numpy()
+    return rounded
+
+
+def shown_truth(pair: Pair) -> Correspondences:
+    """The pair's truth; visible only what lies inside both its images, cut as they may be."""
+    if pair.truth is None:
+        raise UserError(
+            f"{pair.name}: has no depth to compare with; expected a pair that was rendered."
+        )
+    ends = ((pair.K_left, pair.truth.rays_left), (pair.K_right, pair.truth.rays_right))
+    visible = pair.truth.visible
+    for K, rays in ends:
+        uv = project(torch.from_numpy(K), torch.from_numpy(rays))
+        visible = visible & inside(uv, pair.wh).numpy()
+    return replace(pair.truth, visible=visible)
+
+
+def measured(
+    pair: Pair, rect: Rectification, frame: DepthFrame, match: StereoMatcher
+) -> DepthSamples:
+    """Depth samples of a matcher on the pair, rectified by ``rect`` (a batch of one)."""
+    disparity = match(*rectified_images(pair, rect))
+    return depth_samples(disparity, frame, shown_truth(pair))
