@@ -88,10 +88,14 @@ def _colours(groups: dict[str, list[Score]]) -> dict[str, str]:
     return {m: SERIES[k % len(SERIES)] for k, m in enumerate(groups)}
 
 
+def _geodesic(score: Score) -> float:
+    return score.figures["geodesic_deg"]
+
+
 def _cumulative(groups: dict[str, list[Score]]) -> Figure:
     figure, axes = empty(SIZE)
     for method, color in _colours(groups).items():
-        error = np.sort([s.figures["geodesic_deg"] for s in groups[method]])
+        error = np.sort([_geodesic(s) for s in groups[method]])
         share = 100 * (np.arange(len(error)) + 1) / len(error)
         axes.step(error, share, where="post", color=color, label=method, linewidth=1.4)
     axes.set_xscale("log")
@@ -107,12 +111,12 @@ def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
     for method, color in _colours(groups).items():
         known = [s for s in groups[method] if s.num_matches]
         if known:
-            axes.plot([s.num_matches or 0 for s in known], [s.figures["geodesic_deg"] for s in known],
-                      ".", markersize=3, color=color, label=method, alpha=0.6)  # fmt: skip
+            num, error = [s.num_matches or 0 for s in known], [_geodesic(s) for s in known]
+            axes.plot(num, error, ".", markersize=3, color=color, label=method, alpha=0.6)
     pair = pairs[0].input
-    num = np.geomspace(20, 20_000, 50)
-    bound = cramer_rao_deg(num, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
-    axes.plot(num, bound, color="#444b54", linewidth=1.2, label=f"bound, {NOISE_PX:g} px")
+    counts = np.geomspace(20, 20_000, 50)
+    bound = cramer_rao_deg(counts, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
+    axes.plot(counts, bound, color="#444b54", linewidth=1.2, label=f"bound, {NOISE_PX:g} px")
     axes.set_xscale("log")
     axes.set_yscale("log")
     label(axes, "matches", "geodesic error [°]")
@@ -136,7 +140,7 @@ def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
     names = sorted({key(s) for g in groups.values() for s in g if key(s)}) or ["all"]
     figure, axes = empty(SIZE)
     for method, color in _colours(groups).items():
-        parts = [[s.figures["geodesic_deg"] for s in groups[method] if key(s) in (n, "")]
+        parts = [[_geodesic(s) for s in groups[method] if key(s) in (n, "")]
                  for n in names]  # fmt: skip
         axes.plot(names, [np.median(p) if p else np.nan for p in parts], "o", color=color,
                   markersize=5, label=method)  # fmt: skip
