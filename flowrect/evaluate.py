@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -159,7 +160,7 @@ def shown(scores: Sequence[Score], translation: str) -> Table:
     """Mean / median of the main figures, for the terminal."""
     figures = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg", "vertical_flow_px")
     heads = ("pitch [°]", "yaw [°]", "roll [°]", "geodesic [°]", "vertical flow [px]", "failures")
-    table = Table("", *heads, title=f"t = {translation}: mean / median")
+    table = Table("", *map(escape, heads), title=f"t = {translation}: mean / median")
     for (method, t), group in tables.grouped(scores).items():
         if t == translation:
             found = (tables.summary(group, f) for f in figures)

@@ -127,7 +127,7 @@ class Hitnet(nn.Module):
 
 
 class Features(nn.Module):
-    """U-Net: feature maps at every level, fine to coarse. Source: section 3.1."""
+    """U-Net: feature maps at every level, fine to coarse."""
 
     def __init__(self, channels: tuple[int, ...]) -> None:
         super().__init__()
@@ -160,7 +160,7 @@ class Features(nn.Module):
 
 
 class Initialisation(nn.Module):
-    """The best fronto-parallel tiles of a level. Source: section 3.2, Eq. 1 to 3."""
+    """The best fronto-parallel tiles of a level."""
 
     def __init__(self, channels: int, config: HitnetConfig) -> None:
         super().__init__()
@@ -198,7 +198,7 @@ class Initialisation(nn.Module):
 class Propagation(nn.Module):
     """Updates the hypotheses of a level by their neighbours and local costs.
 
-    Source: section 3.3, Eq. 7. The last layer starts at zero, so that an untrained network returns
+    The last layer starts at zero, so that an untrained network returns
     what it was given; the paper does not say.
     """
 
@@ -227,7 +227,7 @@ class Propagation(nn.Module):
 class Refinement(nn.Module):
     """Updates hypotheses by their neighbours and the left image's features at their resolution.
 
-    Source: section 3.4. Without warping. The last one has no descriptor to pass on.
+    Without warping. The last one has no descriptor to pass on.
     """
 
     def __init__(self, guide: int, hidden: int, config: HitnetConfig, *, last: bool) -> None:

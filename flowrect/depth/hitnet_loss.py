@@ -2,7 +2,7 @@
 
 The paper compares dense maps; here truth are points u, v with their disparity, as exact
 correspondences give them, and the plane of the tile that a point falls on is evaluated right there.
-Source: HITNet (Tankovich et al., CVPR 2021), section 4, Eq. 8 to 14.
+Source: HITNet (Tankovich et al., CVPR 2021), the section on losses.
 """
 
 from __future__ import annotations
@@ -66,7 +66,6 @@ def init_loss(init: Init, truth: PointTruth) -> Tensor:
     """Mean of ψ(d_gt) + max(β − ψ(d_nm), 0) over tiles that show a visible point.
 
     d_gt is the nearest surface of the tile, d_nm the best match that is ``APART_PX`` away from it.
-    Source: Eq. 8 to 10.
     """
     d = nearest_of_tile(truth, init.scale) / init.scale
     levels = init.costs.shape[1]
@@ -95,7 +94,7 @@ def nearest_of_tile(truth: PointTruth, scale: int) -> Tensor:
 def stage_losses(
     stage: Stage, truth: PointTruth, slopes: Tensor, flat: Tensor
 ) -> dict[str, Tensor]:
-    """Means over known points of Eq. 11 to 14; slopes (B, N, 2) count where ``flat`` (B, N)."""
+    """Means over known points; slopes (B, N, 2) count where ``flat`` (B, N)."""
     disparity, slants, confidence = at_points(stage, truth)
     error = disparity - truth.disparity
     size = error.detach().abs()

@@ -6,7 +6,7 @@ its slopes dx and dy [px/px], and a descriptor p of P numbers. The pixels of a t
     d(u, v) = d + (u − u_c) dx + (v − v_c) dy,    u − u_c in {−(s−1)/2, …, (s−1)/2}.
 
 Lengths are pixels of the resolution that the tile belongs to. Source: HITNet (Tankovich et al.,
-CVPR 2021), sections 3.1 to 3.3.
+CVPR 2021).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def warped(right: Tensor, disparity: Tensor) -> Tensor:
 def warp_costs(left: Tensor, right: Tensor, h: Tensor) -> Tensor:
     """Local cost volume (B, 3 · TILE², rows, columns): Σ|left − warped right| over the channels.
 
-    For planes moved by −1, 0 and +1 px, one number a pixel of the tile. Source: Eq. 5 and 6.
+    For planes moved by −1, 0 and +1 px, one number a pixel of the tile.
     """
     disparity = plane(h)
     costs = [
@@ -83,8 +83,6 @@ def tile_costs(left: Tensor, right: Tensor, num: int) -> Tensor:
     Args:
       left: (B, C, rows, columns) features of tiles.
       right: (B, C, rows, TILE · columns) features of a tile at every column of pixels.
-
-    Source: Eq. 1.
     """
     outside = F.pad(right, (num - 1, 0), value=float("inf"))  # views of it, no copies
     costs = [
@@ -97,7 +95,7 @@ def tile_costs(left: Tensor, right: Tensor, num: int) -> Tensor:
 def tile_cost_at(left: Tensor, right: Tensor, d: Tensor) -> Tensor:
     """Cost (B, rows, columns) at disparities d (B, rows, columns), linear between whole ones.
 
-    Border goes on left of the image. Source: ψ, Eq. 9.
+    Border goes on left of the image. ψ in the paper.
     """
     lower = d.floor()
     share = d - lower
