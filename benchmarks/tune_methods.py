@@ -20,7 +20,7 @@ from rich.progress import track
 
 from flowrect.evaluate import wh_of
 from flowrect.evaluation.delivered import Delivery, prior
-from flowrect.matchers import dis, sift
+from flowrect.matchers import dis, load_matcher, sift
 from flowrect.matches import Matcher
 from flowrect.solvers import NoSolution, Solver
 from flowrect.solvers.essential import Ransac, lo_ransac, magsac
@@ -52,6 +52,7 @@ SWEEP: dict[str, tuple[Matcher, dict[str, Solver]]] = {
        for t in (0.0, 0.5, 1.0, 2.0, 4.0)},
     "sift": (sift.match, RANSACS),
     "dis": (dis.match, RANSACS),
+    "sift and dis": (load_matcher("sift-dis"), FITS),
 }  # fmt: skip
 """matchers, and the solvers that are tried on their matches"""
 

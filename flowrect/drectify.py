@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from flowrect.geometry import (
+    BEHIND_PX,
     half_rotation,
     pixel_grid,
     project,
@@ -142,7 +143,11 @@ def warp(
 
 def rectified_uv(rays: Tensor, R_rect: Tensor, K_new: Tensor) -> Tensor:
     """Positions (B, N, 2) [px] in the rectified image of rays (B, N, 3) of the camera frame."""
-    return project(K_new, rays @ R_rect.mT)
+    towards = rays @ (K_new @ R_rect).mT  # one product for rotation and projection
+    z = towards[..., 2:]
+    in_front = z > 0
+    uv = towards[..., :2] / torch.where(in_front, z, 1.0)
+    return torch.where(in_front, uv, BEHIND_PX)
 
 
 def _onto_axis(baseline: Tensor, vertical: Tensor) -> Tensor:

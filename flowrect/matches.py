@@ -22,24 +22,30 @@ class Matches:
     uv_right: Array
     score: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) how sure the matcher is, more is better, on a scale of its own; 1 if it does not say"""
+    weight: Array = field(default_factory=lambda: np.zeros(0))
+    """(N,) one over the number of matches that share one error: neighbours of dense flow are not
+    independent. 1 if the matcher does not say"""
 
     def __post_init__(self) -> None:
         for name in ("uv_left", "uv_right"):
             uv = np.asarray(getattr(self, name), dtype=np.float64).reshape(-1, 2)
             object.__setattr__(self, name, uv)
         num = len(self.uv_left)
-        score = np.ones(num) if np.size(self.score) == 0 else np.asarray(self.score, np.float64)
-        object.__setattr__(self, "score", score)
-        if not len(self.uv_right) == len(score) == num:
-            raise ValueError(f"Matches: {num} left and {len(self.uv_right)} right points, "
-                             f"{len(score)} scores; expected one number")  # fmt: skip
+        for name in ("score", "weight"):
+            given = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, given if given.size else np.ones(num))
+        lengths = [len(x) for x in (self.uv_left, self.uv_right, self.score, self.weight)]
+        if len(set(lengths)) > 1:
+            raise ValueError(f"Matches: {lengths} left and right points, scores and weights; "
+                             "expected one number")  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.uv_left)
 
     def subset(self, index: NDArray[Any]) -> Matches:
         """The matches ``index`` (integers or booleans)."""
-        return Matches(self.uv_left[index], self.uv_right[index], self.score[index])
+        parts = (self.uv_left, self.uv_right, self.score, self.weight)
+        return Matches(*(x[index] for x in parts))
 
     def rays(self, K_left: Array, K_right: Array) -> tuple[Array, Array]:
         """K⁻¹ (u, v, 1)ᵀ (N, 3) of both ends, in their cameras."""

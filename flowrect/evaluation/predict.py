@@ -192,18 +192,21 @@ def _method(name: str) -> Method:
     return method
 
 
+_ARRAYS = ("uv_left", "uv_right", "score", "weight")
+
+
 def _matches(path: Path, matcher: str, pair: Pair) -> tuple[Matches, float]:
     """The matches of a pair and the seconds that they took, from their file if there is one."""
     if path.exists():
         with np.load(path) as file:
-            found = Matches(file["uv_left"], file["uv_right"], file["score"])
+            found = Matches(*(file[name] for name in _ARRAYS))
             return found, float(file["seconds"])
     seconds = Seconds()
     with seconds.of("matching"):
         found = load_matcher(matcher)(pair.left, pair.right)
     memory = io.BytesIO()
-    np.savez(memory, uv_left=found.uv_left, uv_right=found.uv_right, score=found.score,
-             seconds=seconds["matching"])  # fmt: skip
+    arrays = {name: getattr(found, name) for name in _ARRAYS}
+    np.savez(memory, seconds=np.array(seconds["matching"]), **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, memory.getvalue())
     return found, seconds["matching"]

@@ -146,8 +146,8 @@ def _figures(
         "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
     }  # fmt: skip
     if method == UNRECTIFIED:
-        black = (torch.cat(views[:2]) - torch.cat(_views(batch, exact))).abs().mean()
-        found |= {"mae_paper": 2 * black.item(), "mae_valid": np.nan}
+        error_now = (torch.cat(views[:2]) - torch.cat(_views(batch, exact))).abs().mean()
+        found |= {"mae_paper": 2 * error_now.item(), "mae_valid": np.nan}
     if batch.truth is not None:
         some = batch.truth.subset(slice(None, None, BIAS_EVERY))
         found["disparity_bias_px"] = disparity_bias(one_scale, exact, some).item()
@@ -156,6 +156,8 @@ def _figures(
             if method == UNRECTIFIED
             else exact_vertical_flow(rect, batch.truth).item()
         )
+    if not matchers:
+        return found
     shown = views[:2] if method == UNRECTIFIED else _views(batch, rect)
     for name, matcher in matchers.items():
         found |= _offsets(name, matcher, shown, bool(nominal.vertical))

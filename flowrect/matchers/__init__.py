@@ -32,11 +32,8 @@ from simgen.errors import UserError
 def together(left: Image, right: Image, matchers: Sequence[Matcher]) -> Matches:
     """The matches of several matchers, one after the other."""
     found = [match(left, right) for match in matchers]
-    uv_left, uv_right, score = (
-        np.concatenate([getattr(m, name) for m in found])
-        for name in ("uv_left", "uv_right", "score")
-    )
-    return Matches(uv_left, uv_right, score)
+    names = ("uv_left", "uv_right", "score", "weight")
+    return Matches(*(np.concatenate([getattr(m, name) for m in found]) for name in names))
 
 
 def learned(name: str) -> Matcher:

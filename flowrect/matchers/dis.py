@@ -5,7 +5,7 @@ Nothing is learned. A point counts as matched if the flow back from where it wen
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -26,14 +26,17 @@ class Dis:
     """pixels between the points that are kept"""
     cycle_px: float = 1.0
     """largest distance of a point from where forward and backward flow take it"""
-    texture: float = 0.0
+    texture: float = 0.5
     """least root of the smaller eigenvalue of the structure tensor [grey levels per pixel]: where
     there is nothing to match flow is smooth, agrees with itself, and is wrong"""
     window: int = 9
     """pixels over which texture is looked for"""
+    weight: float = 0.03
+    """of a match: squared errors of poses were thirty times what independent matches would give"""
 
 
 TUNED = Dis()
+"""swept on training frames (benchmarks/tune_methods.py)"""
 
 
 def match(left: Image, right: Image, options: Dis = TUNED) -> Matches:
@@ -44,7 +47,8 @@ def match(left: Image, right: Image, options: Dis = TUNED) -> Matches:
     back = dis.calc(second, first, None)
     matches = consistent(forth, back, step=options.step, cycle_px=options.cycle_px)
     u, v = matches.uv_left.astype(int).T
-    return matches.subset(texture(first, options.window)[v, u] >= options.texture)
+    matches = matches.subset(texture(first, options.window)[v, u] >= options.texture)
+    return replace(matches, weight=np.full(len(matches), options.weight))
 
 
 def texture(grey: NDArray[np.uint8], window: int) -> NDArray[np.float32]:

@@ -32,8 +32,11 @@ class Sift:
 
 PAPER = Sift()
 """of the metric "SIFT offset": ratio 0.75, one way"""
-TUNED = Sift(contrast=0.01, ratio=0.85, mutual=True)
-"""many points of little contrast: a robust solver can choose"""
+TUNED = Sift(contrast=0.003, ratio=0.85, mutual=True)
+"""many points of little contrast: a robust solver can choose. Swept on training frames
+(benchmarks/tune_methods.py)"""
+WEIGHT = 0.5
+"""of a match: squared errors of poses were twice what independent matches would give"""
 QUICK = Sift(max_features=4000, mutual=True, max_pixels=1_500_000)
 """for a check of one pair, whatever its size"""
 
@@ -45,7 +48,8 @@ def match(left: Image, right: Image, options: Sift = TUNED) -> Matches:
     if options.mutual:
         back = _best(second, first, options.ratio)
         forth = forth[_partner_of(back, len(second))[forth[:, 1]] == forth[:, 0]]
-    return Matches(uv_left[forth[:, 0]], uv_right[forth[:, 1]])
+    weight = np.full(len(forth), WEIGHT)
+    return Matches(uv_left[forth[:, 0]], uv_right[forth[:, 1]], np.ones(len(forth)), weight)
 
 
 def _features(image: Image, options: Sift) -> tuple[Array, NDArray[np.float32]]:

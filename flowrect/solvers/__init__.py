@@ -21,9 +21,10 @@ PAPER = Ransac(threshold_px=1.0, normalised=True)
 """a threshold of one pixel taken on normalised points, as in the paper's release: no match is ever
 too far off"""
 
+# Thresholds were swept on training frames, see benchmarks/tune_methods.py.
 SOLVERS: dict[str, Solver] = {
-    "loransac": partial(essential.lo_ransac, options=Ransac()),
-    "magsac": partial(essential.magsac, options=Ransac()),
+    "loransac": partial(essential.lo_ransac, options=Ransac(threshold_px=0.5)),
+    "magsac": partial(essential.magsac, options=Ransac(threshold_px=0.25)),
     "loransac-paper": partial(essential.lo_ransac, options=PAPER),
     "magsac-paper": partial(essential.magsac, options=PAPER),
     "3dof": partial(fit, options=THREE_DOF),

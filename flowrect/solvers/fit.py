@@ -118,13 +118,15 @@ class _Problem:
         return np.concatenate([errors, x / self.sigma[: len(x)]])
 
     def loss(self, scale: float) -> Callable[[Array], Array]:
-        """SciPy's rho: Cauchy's for the matches, squares for the prior; (3, n) with derivatives."""
+        """SciPy's rho: Cauchy's by weight for matches, squares for the prior; with derivatives."""
+        num = len(self.matches)
 
         def rho(z: Array) -> Array:
-            shrunk = 1 + z / scale**2
-            cauchy = np.stack([scale**2 * np.log(shrunk), 1 / shrunk, -1 / (scale * shrunk) ** 2])
-            prior = np.arange(len(z)) >= len(self.matches)
-            return np.where(prior, np.stack([z, np.ones_like(z), np.zeros_like(z)]), cauchy)
+            found = np.stack([z, np.ones_like(z), np.zeros_like(z)])
+            shrunk = 1 + z[:num] / scale**2
+            cauchy = scale**2 * np.log(shrunk), 1 / shrunk, -1 / (scale * shrunk) ** 2
+            found[:, :num] = self.matches.weight * np.stack(cauchy)
+            return found
 
         return rho
 
@@ -137,9 +139,10 @@ class _Problem:
         r = self.residuals(x)[: len(inliers)][inliers]
         J = np.stack([self.residuals(x + d) - self.residuals(x - d) for d in step], axis=1) / 2e-6
         J = J[: len(inliers)][inliers]
-        q = (r / scale) ** 2
+        q, weight = (r / scale) ** 2, self.matches.weight[inliers]
         psi, slope = r / (1 + q), (1 - q) / (1 + q) ** 2
-        precision = J.T @ J * slope.mean() ** 2 / (psi**2).mean()
+        factor = np.average(slope, weights=weight) ** 2 / np.average(psi**2, weights=weight)
+        precision = factor * (J * weight[:, None]).T @ J
         full = np.diag(self.sigma**2)
         prior = np.diag(self.sigma[: len(x)] ** -2)
         full[: len(x), : len(x)] = np.linalg.inv(precision + prior)
