@@ -10,8 +10,11 @@ _HOME = {
     "Calibration": "flowrect.calibration",
     "Correspondences": "flowrect.correspondences",
     "Estimate": "flowrect.estimate",
+    "PoseEstimate": "flowrect.methods",
     "Rectification": "flowrect.drectify",
+    "load_method": "flowrect.methods",
     "load_model": "flowrect.estimate",
+    "projections": "flowrect.calibration",
     "read_calibration": "flowrect.formats",
 }
 __all__ = list(_HOME)

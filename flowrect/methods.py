@@ -51,6 +51,11 @@ class PoseEstimate:
     notes: tuple[str, ...] = ()
     """what speaks against it"""
 
+    @property
+    def T_right_left(self) -> Array:
+        """(4, 4)"""
+        return transform(self.R, self.t)
+
 
 class Method(Protocol):
     """Images (H, W, 3) uint8 RGB without distortion, K (3, 3) [px], prior T_right_left (4, 4)."""

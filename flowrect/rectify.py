@@ -35,7 +35,7 @@ from flowrect.sample import Image
 from flowrect.solvers import NoSolution
 from flowrect.sources.folder import match_by_name
 from simgen.errors import UserError
-from simgen.geometry import Array, transform, vector_from_rotation
+from simgen.geometry import Array, vector_from_rotation
 
 ANGLES = ("pitch_deg", "yaw_deg", "roll_deg")
 SUMMARY = ("name", *ANGLES, "num_matches", "num_inliers", "num_sift_matches", "before_px",
@@ -130,7 +130,7 @@ def rectify_pair(method: Method, name: str, rig: Calibration, files: PairFiles) 
     pose = _estimated(method, rig, *straight)
     nominal, estimate = (
         projections(T, rig.K_left, rig.K_right, rig.wh)
-        for T in (rig.T_right_left, transform(pose.R, pose.t))
+        for T in (rig.T_right_left, pose.T_right_left)
     )
     matches = sift_matches(*straight, rig.K_left, rig.K_right)
     quality = _quality(files.name, name, rig, pose, matches, (nominal, estimate))
