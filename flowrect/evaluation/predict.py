@@ -23,7 +23,7 @@ from pebble import ProcessExpired, ProcessPool
 from flowrect.evaluation import predictions
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation, prior
 from flowrect.evaluation.predictions import Prediction
-from flowrect.matchers import load_matcher
+from flowrect.matchers import PARTS, joined, load_matcher
 from flowrect.matches import Matches
 from flowrect.methods import FromMatches, Method, PoseEstimate, Seconds, load_method
 from flowrect.sample import Pair, Prepared
@@ -168,7 +168,9 @@ def _estimated(method: Method, pair: Pair, start: Array, folder: Path, i: int) -
     args = pair.K_left, pair.K_right, start
     if not isinstance(method, FromMatches):
         return method(pair.left, pair.right, *args)
-    matches, spent = _matches(folder / method.matcher / f"{i:06d}.npz", method.matcher, pair)
+    parts = PARTS.get(method.matcher, (method.matcher,))
+    found = [_matches(folder / name / f"{i:06d}.npz", name, pair) for name in parts]
+    matches, spent = joined([m for m, _ in found]), sum(seconds for _, seconds in found)
     began = method.start(pair.left, pair.right, *args)
     seconds = Seconds({"matching": spent, **began.seconds})
     return method.solved(matches, pair.K_left, pair.K_right, began, seconds)

@@ -31,7 +31,11 @@ from simgen.errors import UserError
 
 def together(left: Image, right: Image, matchers: Sequence[Matcher]) -> Matches:
     """The matches of several matchers, one after the other."""
-    found = [match(left, right) for match in matchers]
+    return joined([match(left, right) for match in matchers])
+
+
+def joined(found: Sequence[Matches]) -> Matches:
+    """All matches of several lists."""
     names = ("uv_left", "uv_right", "score", "weight")
     return Matches(*(np.concatenate([getattr(m, name) for m in found]) for name in names))
 
@@ -57,6 +61,8 @@ MATCHERS: dict[str, Callable[[], Matcher]] = {
     "sift-dis": lambda: partial(together, matchers=(sift.match, dis.match)),
     **{name: partial(learned, name) for name in LEARNED},
 }
+PARTS = {"sift-dis": ("sift", "dis")}
+"""matchers whose matches are those of others together"""
 
 
 def load_matcher(name: str) -> Matcher:

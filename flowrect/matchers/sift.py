@@ -32,9 +32,9 @@ class Sift:
 
 PAPER = Sift()
 """of the metric "SIFT offset": ratio 0.75, one way"""
-TUNED = Sift(contrast=0.003, ratio=0.85, mutual=True)
+TUNED = Sift(max_features=5000, contrast=0.003, ratio=0.85, mutual=True)
 """many points of little contrast: a robust solver can choose. Swept on training frames
-(benchmarks/tune_methods.py)"""
+(benchmarks/tune_methods.py), where all had less than 5000; time grows with their square"""
 WEIGHT = 0.5
 """of a match: squared errors of poses were twice what independent matches would give"""
 QUICK = Sift(max_features=4000, mutual=True, max_pixels=1_500_000)
