@@ -2,7 +2,8 @@
 
 Two passes. Every method predicts every pair, and its predictions go to a file; then the files are
 scored. The same pairs, size, intrinsics and prior for all. What is there already is not made
-again, so the same command goes on after an interruption, and with further ``--methods``.
+again, so the same command goes on after an interruption, and other ``--methods`` join those that
+are in the folder.
 
 OUT/predictions/METHOD.T.h5 holds the predictions, ``scores.csv`` the figures of every pair,
 ``summary.csv`` their means, medians and intervals, ``tables.md`` the paper's Table 2 and the same
@@ -28,7 +29,7 @@ from rich.table import Table
 from flowrect.evaluation import tables
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation
 from flowrect.evaluation.predict import Report, Run, predict
-from flowrect.evaluation.predictions import read
+from flowrect.evaluation.predictions import origin_of, read
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
 from flowrect.matchers import load_matcher
@@ -77,11 +78,11 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
                         options.turn_deg, root=options.root)  # fmt: skip
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
-    with _progress(console, "predicting") as report:
+    with _Progress(console, "predicting") as report:
         unavailable = predict(run, report)
     for method, reason in unavailable.items():
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
-    rows = _read(run, delivery.open().fingerprint, unavailable)
+    rows = _read(run, delivery.open().fingerprint)
     scores = _scored(delivery.open(truth_points=None), rows, options, console)
     _write(options, scores, unavailable)
     write_report(options.out / "report.html", scores, rows, delivery.open(), unavailable)
@@ -95,7 +96,7 @@ def _scored(
     num = min(options.matched_pairs, len(pairs))
     matched = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
     scores: list[Score] = []
-    with _progress(console, "scoring") as report:
+    with _Progress(console, "scoring") as report:
         of_pairs = scored(pairs, rows, options.translations, matchers=matchers, matched=matched)
         for done, of_pair in enumerate(of_pairs, 1):
             scores += of_pair
@@ -103,13 +104,15 @@ def _scored(
     return scores
 
 
-def _read(run: Run, fingerprint: str, unavailable: dict[str, str]) -> Rows:
-    """Predictions by method, translation and pair."""
+def _read(run: Run, fingerprint: str) -> Rows:
+    """All predictions in the folder that are of these pairs, also those of earlier commands."""
+    files = sorted((run.out / "predictions").glob("*.h5"))
+    origins = {path: origin_of(path) for path in files}
     return {
-        (method, translation): {r.index: r for r in read(path, data=fingerprint)}
-        for method in run.methods
+        (origin.method, translation): {r.index: r for r in read(path, origin)}
         for translation in run.translations
-        if method not in unavailable and (path := run.path(method, translation)).exists()
+        for path, origin in origins.items()
+        if origin.data == fingerprint and origin.translation == translation
     }
 
 
@@ -140,7 +143,7 @@ def wh_of(size: str) -> tuple[int, int]:
     return w, h
 
 
-class _progress(AbstractContextManager[Report]):
+class _Progress(AbstractContextManager[Report]):
     """A progress bar, as a function of done and of all."""
 
     def __init__(self, console: Console, what: str) -> None:

@@ -72,8 +72,10 @@ class Seconds(dict[str, float]):
     def of(self, stage: str) -> Iterator[None]:
         """Counts the time within."""
         start = time.perf_counter()
-        yield
-        self[stage] = self.get(stage, 0.0) + time.perf_counter() - start
+        try:
+            yield
+        finally:
+            self[stage] = self.get(stage, 0.0) + time.perf_counter() - start
 
 
 def unrectified(

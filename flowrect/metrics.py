@@ -6,12 +6,11 @@ Rectified images are 512×256 in every report, whatever size a method works on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from flowrect.correspondences import Correspondences
@@ -163,6 +162,10 @@ def summarise(values: ArrayLike, scenes: ArrayLike, *, rng: np.random.Generator)
     )
 
 
+MIN_SCENES = 5
+"""fewer say nothing about how scenes differ"""
+
+
 def bootstrap_interval(
     values: ArrayLike,
     scenes: ArrayLike,
@@ -170,18 +173,20 @@ def bootstrap_interval(
     rng: np.random.Generator,
     level: float = 0.95,
     num: int = 2000,
-    statistic: Callable[[NDArray[np.float64]], float] = np.mean,
 ) -> tuple[float, float]:
-    """Percentile interval of a statistic of values (n,), drawing whole *scenes* with replacement.
+    """Percentile interval of the mean of values (n,), drawing whole *scenes* with replacement.
 
     Pairs of one scene share everything but their baseline: drawn singly they would pass for
-    independent, and the interval would come out too narrow.
+    independent, and the interval would come out too narrow. NaN for less than ``MIN_SCENES``.
     """
-    values, scenes = np.asarray(values, dtype=np.float64), np.asarray(scenes)
-    groups = [values[scenes == scene] for scene in np.unique(scenes)]
-    draws = rng.integers(0, len(groups), (num, len(groups)))
-    results = [statistic(np.concatenate([groups[i] for i in draw])) for draw in draws]
-    low, high = np.quantile(results, [(1 - level) / 2, (1 + level) / 2])
+    values = np.asarray(values, dtype=np.float64)
+    _, scene = np.unique(np.asarray(scenes), return_inverse=True)
+    counts, sums = np.bincount(scene), np.bincount(scene, weights=values)
+    if len(counts) < MIN_SCENES:
+        return np.nan, np.nan
+    draws = rng.integers(0, len(counts), (num, len(counts)))
+    means = sums[draws].sum(1) / counts[draws].sum(1)
+    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)
 
 

@@ -55,7 +55,6 @@ class Delivered(Sequence[Prepared]):
 
     def __init__(self, how: Delivery, pairs: Pairs[object], chosen: list[int]) -> None:
         self.how, self.pairs, self.chosen = how, pairs, chosen
-        self._keep = 0.0
 
     def __len__(self) -> int:
         return len(self.chosen)
@@ -78,23 +77,26 @@ class Delivered(Sequence[Prepared]):
 
     def _as_it_is(self, pair: Pair) -> Prepared:
         sizing = Sizing(self.how.wh)
-        box = sizing.box(pair.wh)
-        if box.width < self.how.wh[0]:
-            raise UserError(
-                f"{pair.name}: {pair.wh[0]}x{pair.wh[1]} has no window of "
-                f"{self.how.wh[0]}x{self.how.wh[1]}; ask for a smaller --size."
-            )
+        self._require_room(sizing, pair)
         return sized(pair, sizing)
 
     def _turned(self, pair: Pair, i: int) -> Prepared:
         sizing = Sizing(self.how.wh)
-        if not self._keep:
-            self._keep = largest_keep(pair, sizing, self.how.turn_deg)
+        limit_deg = self.how.turn_deg + self.pairs.largest_turn_deg
+        sizing = replace(sizing, keep=largest_keep(pair, sizing, limit_deg))
+        self._require_room(sizing, pair)
         rng = np.random.default_rng([self.how.seed, i])
         left, right = (draw_turn(self.how.turn_deg, rng=rng) for _ in range(2))
-        box = replace(sizing, keep=self._keep).box(pair.wh)
-        sharp = turned(pair, left, right, box, self.how.wh)
+        sharp = turned(pair, left, right, sizing.box(pair.wh), self.how.wh)
         return Prepared(sharp, resized(sharp, METRIC_WH))
+
+    def _require_room(self, sizing: Sizing, pair: Pair) -> None:
+        box, (w, h) = sizing.box(pair.wh), self.how.wh
+        if box.width < w:
+            raise UserError(
+                f"{pair.name}: the window of its {pair.wh[0]}x{pair.wh[1]} is "
+                f"{box.width}x{box.height}, less than {w}x{h}; ask for a smaller --size."
+            )
 
 
 def prior(pair: Pair, translation: Translation) -> Array:

@@ -7,12 +7,14 @@ is not done again.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import multiprocessing
 import time
+import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,9 @@ from typing import Any
 import numpy as np
 from pebble import ProcessExpired, ProcessPool
 
-from flowrect.evaluation import predictions
+from flowrect.evaluation import predictions, stamp
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation, prior
-from flowrect.evaluation.predictions import Prediction
+from flowrect.evaluation.predictions import Origin, Prediction
 from flowrect.matchers import PARTS, joined, load_matcher
 from flowrect.matches import Matches
 from flowrect.methods import FromMatches, Method, PoseEstimate, Seconds, load_method
@@ -32,6 +34,8 @@ from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.shards import write_atomically
 
+FAULT = "fault of the machine"
+"""begins a failure that is not the method's: such a pair is tried again by the next run"""
 FLUSH_S = 10.0
 """between two writings of what was predicted"""
 
@@ -51,7 +55,10 @@ class Run:
 
     def path(self, method: str, translation: Translation) -> Path:
         """Where a method's predictions are."""
-        name = method.replace("/", "_").replace("=", "-")
+        name = method
+        if "=" in method:  # a path, of any length
+            head, _, solver = method.partition("=")
+            name = f"{head}-{hashlib.sha256(solver.encode()).hexdigest()[:8]}"
         return self.out / "predictions" / f"{name}.{translation}.h5"
 
 
@@ -60,9 +67,13 @@ class _File:
     """The predictions of one method under work."""
 
     path: Path
-    method: str
+    origin: Origin
     translation: Translation
-    rows: dict[int, Prediction] = field(default_factory=dict)
+    rows: dict[int, Prediction]
+
+    @property
+    def method(self) -> str:
+        return self.origin.method
 
 
 Report = Callable[[int, int], None]
@@ -84,10 +95,10 @@ def predict(run: Run, report: Report = lambda done, of: None) -> dict[str, str]:
             done += 1
             report(done, of)
             if time.monotonic() - written > FLUSH_S:
-                _flush(files, pairs.fingerprint)
+                _flush(files)
                 written = time.monotonic()
     finally:
-        _flush(files, pairs.fingerprint)
+        _flush(files)
     return unavailable
 
 
@@ -96,15 +107,17 @@ def _files(run: Run, fingerprint: str) -> list[_File]:
     for method in run.methods:
         for translation in run.translations:
             path = run.path(method, translation)
-            rows = predictions.read(path, data=fingerprint) if path.exists() else []
-            found.append(_File(path, method, translation, {r.index: r for r in rows}))
+            origin = Origin(method, translation, fingerprint, stamp.of_method(method))
+            rows = predictions.read(path, origin) if path.exists() else []
+            kept = {r.index: r for r in rows if not r.failure.startswith(FAULT)}
+            found.append(_File(path, origin, translation, kept))
     return found
 
 
-def _flush(files: Sequence[_File], fingerprint: str) -> None:
+def _flush(files: Sequence[_File]) -> None:
     for file in files:
         if file.rows:
-            predictions.write(file.path, file.rows.values(), method=file.method, data=fingerprint)
+            predictions.write(file.path, file.rows.values(), file.origin)
 
 
 def _predicted(
@@ -139,7 +152,7 @@ def _settled(future: Any, i: int, time_limit_s: float) -> Prediction | str:
     except TimeoutError:
         return Prediction(i, "", None, f"took longer than {time_limit_s:g} s and was stopped")
     except ProcessExpired as error:
-        return Prediction(i, "", None, f"its process died ({error})")
+        return Prediction(i, "", None, f"{FAULT}: its process died ({error})")
 
 
 # --- in the process ------------------------------------------------------------------------------
@@ -157,11 +170,21 @@ def _predict_one(
         return str(error)
     try:
         estimate = _estimated(method, pair, prior(pair, translation), folder, i)
+        _require_pose(estimate)
         return Prediction(i, pair.name, estimate)
+    except (OSError, MemoryError) as error:
+        return Prediction(i, pair.name, None, f"{FAULT}: {type(error).__name__}: {error}")
     except (NoSolution, UserError) as error:
         return Prediction(i, pair.name, None, str(error))
     except Exception as error:  # whatever it is, it is this method's failure on this pair
         return Prediction(i, pair.name, None, f"{type(error).__name__}: {error}")
+
+
+def _require_pose(estimate: PoseEstimate) -> None:
+    R, t = estimate.R, estimate.t
+    if not (np.isfinite(R).all() and np.isfinite(t).all() and np.any(t)
+            and np.allclose(R @ R.T, np.eye(3), atol=1e-6)):  # fmt: skip
+        raise NoSolution(f"its answer is no pose: R =\n{R}\nt = {t}")
 
 
 def _estimated(method: Method, pair: Pair, start: Array, folder: Path, i: int) -> PoseEstimate:
@@ -199,16 +222,26 @@ _ARRAYS = ("uv_left", "uv_right", "score", "weight")
 
 def _matches(path: Path, matcher: str, pair: Pair) -> tuple[Matches, float]:
     """The matches of a pair and the seconds that they took, from their file if there is one."""
-    if path.exists():
-        with np.load(path) as file:
-            found = Matches(*(file[name] for name in _ARRAYS))
-            return found, float(file["seconds"])
+    if (kept := _kept(path)) is not None:
+        return kept
     seconds = Seconds()
     with seconds.of("matching"):
         found = load_matcher(matcher)(pair.left, pair.right)
     memory = io.BytesIO()
     arrays = {name: getattr(found, name) for name in _ARRAYS}
-    np.savez(memory, seconds=np.array(seconds["matching"]), **arrays)
+    made_by = np.array(stamp.of_matchers())
+    np.savez(memory, seconds=np.array(seconds["matching"]), stamp=made_by, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, memory.getvalue())
     return found, seconds["matching"]
+
+
+def _kept(path: Path) -> tuple[Matches, float] | None:
+    """What a file holds, if the present matchers wrote it."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes())) as file:
+            if str(file["stamp"]) != stamp.of_matchers():
+                return None
+            return Matches(*(file[name] for name in _ARRAYS)), float(file["seconds"])
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
+        return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import h5py
@@ -35,17 +35,25 @@ class Prediction:
     """why there is no estimate"""
 
 
-def write(path: Path, rows: Iterable[Prediction], *, method: str, data: str) -> None:
-    """Writes all rows atomically.
+@dataclass(frozen=True)
+class Origin:
+    """What predictions are of."""
 
-    Args:
-      data: fingerprint of the delivered pairs.
-    """
+    method: str
+    translation: str
+    data: str
+    """fingerprint of the delivered pairs"""
+    stamp: str
+    """see evaluation/stamp.py"""
+
+
+def write(path: Path, rows: Iterable[Prediction], origin: Origin) -> None:
+    """Writes all rows atomically."""
     rows = sorted(rows, key=lambda r: r.index)
     estimates = [r.estimate or _NOTHING for r in rows]
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
-        file.attrs.update(format=FORMAT, method=method, data=data)
+        file.attrs.update(format=FORMAT, **asdict(origin))
         file["index"] = np.array([r.index for r in rows], dtype=np.int64)
         file["R"] = np.array([e.R for e in estimates]).reshape(-1, 3, 3)
         file["t"] = np.array([e.t for e in estimates]).reshape(-1, 3)
@@ -73,24 +81,39 @@ def _or_nan(covariance: Array | None) -> Array:
     return np.full((5, 5), np.nan) if covariance is None else covariance
 
 
-def read(path: Path, *, data: str) -> list[Prediction]:
-    """The rows of a file; UserError if they are of other pairs, or it is no such file."""
+def read(path: Path, origin: Origin) -> list[Prediction]:
+    """The rows of a file; UserError if they are of another origin, or it is no such file."""
+    found = origin_of(path)
+    if found != origin:
+        a, b = asdict(found), asdict(origin)
+        different = ", ".join(_WORDS[key] for key in a if a[key] != b[key])
+        raise UserError(
+            f"{path}: predictions of {different} than asked for now. Choose another --out, or "
+            "delete the file: its predictions are made anew."
+        )
+    with h5py.File(path, "r") as file:
+        arrays = {k: file[k][:] for k in ("index", "R", "t", "covariance", "num_matches",
+                                          "num_inliers")}  # fmt: skip
+        texts = {k: file[k].asstr()[:] for k in ("name", "failure", "seconds", "notes")}
+    return [_row(i, arrays, texts) for i in range(len(arrays["index"]))]
+
+
+_WORDS = {"method": "another method", "translation": "another t", "data": "other pairs or sizes",
+          "stamp": "other settings, weights or another version"}  # fmt: skip
+
+
+def origin_of(path: Path) -> Origin:
+    """What a file says that it is of; UserError if it is no such file."""
     try:
         with h5py.File(path, "r") as file:
             attributes = dict(file.attrs)
-            arrays = {k: file[k][:] for k in ("index", "R", "t", "covariance", "num_matches",
-                                              "num_inliers")}  # fmt: skip
-            texts = {k: file[k].asstr()[:] for k in ("name", "failure", "seconds", "notes")}
-    except (OSError, KeyError) as error:
+        if attributes.pop("format") != FORMAT:
+            raise ValueError("another format")
+        return Origin(**attributes)
+    except (OSError, KeyError, ValueError, TypeError) as error:
         raise UserError(
             f"{path}: no predictions of flowrect.evaluate ({error}). Delete it: they are made anew."
         ) from error
-    if attributes.get("format") != FORMAT or attributes.get("data") != data:
-        raise UserError(
-            f"{path}: predictions for other pairs, another size, or of another version. Choose "
-            "another --out, or delete this folder."
-        )
-    return [_row(i, arrays, texts) for i in range(len(arrays["index"]))]
 
 
 def _row(i: int, arrays: dict[str, Array], texts: dict[str, list[str]]) -> Prediction:

@@ -32,17 +32,6 @@ from flowrect.sample import Batch, Image, collate
 TRUTH, UNRECTIFIED = "truth", "unrectified"
 BIAS_EVERY = 31
 """every so many-th left pixel is enough for a bias, which is smooth"""
-FIGURES = {
-    "pitch_deg": "|error| about the right camera's x",
-    "yaw_deg": "|error| about the right camera's y",
-    "roll_deg": "|error| about the right camera's z",
-    "geodesic_deg": "angle between the true rotation and the estimate",
-    "vertical_flow_px": "exact: mean |v_right - v_left| over all native left pixels",
-    "disparity_bias_px": "mean of disparity minus true disparity",
-    "mae_paper": "mean |difference| to the truly rectified pair, both views summed, borders too",
-    "mae_valid": "the same per view and pixel, where both rectifications show image",
-}
-"""of every pair"""
 MATCH_FIGURES = {
     "offset_px": "mean |dy| of all matches in the rectified pair, as the paper has it",
     "offset_median_px": "its median",
@@ -64,6 +53,8 @@ class Score:
     figures: Mapping[str, float]
     """NaN where there is none"""
     failure: str = ""
+    notes: str = ""
+    """what the method itself says against its estimate"""
     num_matches: int | None = None
     seconds: float = 0.0
 
@@ -88,30 +79,46 @@ def scored(
     """
     for i in range(len(pairs)):
         prepared = pairs[i]
-        batch = collate([prepared])
+        batch, pair = collate([prepared]), prepared.input
         look = dict(matchers) if i in set(matched) else {}
         found = []
         for translation in translations:
-            start = prior(prepared.input, translation)
+            start = prior(pair, translation)
             nominal = PoseEstimate(start[:3, :3], start[:3, 3])
-            assert prepared.input.T_right_left is not None
-            T = prepared.input.T_right_left
-            t_true = start[:3, 3] if translation == "nominal" else T[:3, 3]
-            own = {UNRECTIFIED: nominal, TRUTH: PoseEstimate(T[:3, :3], t_true)}
+            assert pair.T_right_left is not None
+            truth = PoseEstimate(pair.T_right_left[:3, :3], pair.T_right_left[:3, 3])
+            own = {UNRECTIFIED: Prediction(i, pair.name, nominal),
+                   TRUTH: Prediction(i, pair.name, truth)}  # fmt: skip
             for method in [UNRECTIFIED, *_methods(rows, translation), TRUTH]:
-                row = rows.get((method, translation), {}).get(i)
-                if row is None and method not in own:
+                row = own.get(method) or rows[method, translation].get(i)
+                if row is None:
                     continue
-                estimate = own.get(method) or (row.estimate if row else None)
-                figures = _figures(batch, estimate or nominal, translation, method, look)
-                p = prepared.input
+                figures, failure = _scored(batch, row, nominal, translation, look)
+                e = row.estimate
                 found.append(Score(
-                    method, translation, i, p.name, p.scene, p.weather, p.daylight, figures,
-                    row.failure if row else "",
-                    estimate.num_matches if estimate else None,
-                    sum(estimate.seconds.values()) if estimate else 0.0,
+                    method, translation, i, pair.name, pair.scene, pair.weather, pair.daylight,
+                    figures, failure, "; ".join(e.notes) if e else "",
+                    e.num_matches if e else None, sum(e.seconds.values()) if e else 0.0,
                 ))  # fmt: skip
         yield found
+
+
+def _scored(
+    batch: Batch,
+    row: Prediction,
+    nominal: PoseEstimate,
+    translation: Translation,
+    look: Mapping[str, Matcher],
+) -> tuple[dict[str, float], str]:
+    """Figures, and why they are the prior's if they are."""
+    as_it_is = row.estimate is nominal
+    if row.estimate is None:
+        return _figures(batch, nominal, translation, look), row.failure
+    figures = _figures(batch, row.estimate, translation, look, as_it_is=as_it_is)
+    if batch.truth is not None and np.isnan(figures["vertical_flow_px"]):
+        return (_figures(batch, nominal, translation, look),
+                "its rectified images have nothing in common")  # fmt: skip
+    return figures, ""
 
 
 def _methods(rows: Rows, translation: Translation) -> list[str]:
@@ -123,10 +130,14 @@ def _figures(
     batch: Batch,
     estimate: PoseEstimate,
     translation: Translation,
-    method: str,
     matchers: Mapping[str, Matcher],
+    *,
+    as_it_is: bool = False,
 ) -> dict[str, float]:
-    """All figures of one estimate; t = gt replaces the estimate's own t by the true one."""
+    """All figures of one estimate; t = gt replaces the estimate's own t by the true one.
+
+    ``as_it_is``: images are not warped at all.
+    """
     assert batch.R is not None
     assert batch.t is not None
     K_left, K_right = batch.K_left_metric, batch.K_right_metric
@@ -145,7 +156,7 @@ def _figures(
         "vertical_flow_px": np.nan, "disparity_bias_px": np.nan,
         "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
     }  # fmt: skip
-    if method == UNRECTIFIED:
+    if as_it_is:
         error_now = (torch.cat(views[:2]) - torch.cat(_views(batch, exact))).abs().mean()
         found |= {"mae_paper": 2 * error_now.item(), "mae_valid": np.nan}
     if batch.truth is not None:
@@ -153,12 +164,12 @@ def _figures(
         found["disparity_bias_px"] = disparity_bias(one_scale, exact, some).item()
         found["vertical_flow_px"] = (
             unrectified_vertical_flow(batch.truth, K_left, K_right, nominal.vertical).item()
-            if method == UNRECTIFIED
+            if as_it_is
             else exact_vertical_flow(rect, batch.truth).item()
         )
     if not matchers:
         return found
-    shown = views[:2] if method == UNRECTIFIED else _views(batch, rect)
+    shown = views[:2] if as_it_is else _views(batch, rect)
     for name, matcher in matchers.items():
         found |= _offsets(name, matcher, shown, bool(nominal.vertical))
     return found

@@ -14,7 +14,7 @@ from flowrect.evaluation.scores import Score
 from flowrect.metrics import Summary, summarise
 
 COLUMNS = ("method", "translation", "index", "name", "scene", "weather", "daylight", "failure",
-           "num_matches", "seconds")  # fmt: skip
+           "notes", "num_matches", "seconds")  # fmt: skip
 """of scores.csv, before the figures"""
 Group = tuple[str, str]
 """method, translation"""
@@ -100,6 +100,8 @@ def _mean_and_interval(figure: str, digits: int = 3) -> Cell:
         s = summary(scores, figure)
         if s is None:
             return "–"
+        if np.isnan(s.interval[0]):
+            return f"{s.mean:.{digits}f}"
         return f"{s.mean:.{digits}f} [{s.interval[0]:.{digits}f}, {s.interval[1]:.{digits}f}]"
 
     return cell
@@ -114,7 +116,11 @@ def _median(figure: str, digits: int = 3) -> Cell:
 
 
 def _failures(scores: Sequence[Score]) -> str:
-    return str(failures(scores)) if failures(scores) else "0"
+    return str(failures(scores))
+
+
+def _noted(scores: Sequence[Score]) -> str:
+    return str(sum(bool(s.notes) for s in scores))
 
 
 def columns(names: Sequence[str]) -> dict[str, Cell]:
@@ -137,6 +143,7 @@ def columns(names: Sequence[str]) -> dict[str, Cell]:
         "median [°]": _median("geodesic_deg"),
         "\\|disparity bias\\| [px]": _mean("disparity_bias_px"),
         "failures": _failures,
+        "noted": _noted,
     }
 
 
@@ -195,11 +202,15 @@ def document(
     parts = [
         f"# {title}\n",
         f"{pairs} pairs of {scenes} scenes. Means, with 95 % bootstrap intervals over scenes. A "
-        "pair for which a method failed is scored with the prior, and counted under failures. "
+        "pair for which a method failed is scored with the prior, and counted under failures; "
+        "under noted those that the method itself doubts, or where matches did not suffice to "
+        "refine what a network said. "
         "Figures in pixels are of 512x256 images.\n",
     ]
     for translation in translations:
-        what = "true t given" if translation == "gt" else "nominal t given; a method's own is used"
+        what = (
+            "the true t for all" if translation == "gt" else "each method's own t, or the nominal"
+        )
         parts += [f"## t = {translation} ({what})\n", main_table(scores, translation, unavailable)]
         for by in STRATA:
             parts += [

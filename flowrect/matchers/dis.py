@@ -31,8 +31,9 @@ class Dis:
     there is nothing to match flow is smooth, agrees with itself, and is wrong"""
     window: int = 9
     """pixels over which texture is looked for"""
-    weight: float = 0.03
-    """of a match: squared errors of poses were thirty times what independent matches would give"""
+    worth: float = 60.0
+    """independent matches that a flow field is worth at most: on training frames squared errors of
+    poses were thirty times what 1,800 independent matches would give"""
 
 
 TUNED = Dis()
@@ -48,7 +49,13 @@ def match(left: Image, right: Image, options: Dis = TUNED) -> Matches:
     matches = consistent(forth, back, step=options.step, cycle_px=options.cycle_px)
     u, v = matches.uv_left.astype(int).T
     matches = matches.subset(texture(first, options.window)[v, u] >= options.texture)
-    return replace(matches, weight=np.full(len(matches), options.weight))
+    return worth(matches, options.worth)
+
+
+def worth(matches: Matches, most: float) -> Matches:
+    """The matches with equal weights that add up to at most so many."""
+    weight = min(1.0, most / max(1, len(matches)))
+    return replace(matches, weight=np.full(len(matches), weight))
 
 
 def texture(grey: NDArray[np.uint8], window: int) -> NDArray[np.float32]:

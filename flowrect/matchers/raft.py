@@ -20,7 +20,7 @@ from flowrect.matchers._images import (
     tensor_of,
 )
 from flowrect.matchers._weights import Published, cached_file
-from flowrect.matchers.dis import consistent
+from flowrect.matchers.dis import TUNED, consistent, worth
 from flowrect.matches import Matcher, Matches
 from flowrect.sample import Image
 from simgen.errors import UserError
@@ -35,6 +35,9 @@ STEP = 6
 """pixels between the points that are kept"""
 CYCLE_PX = 1.0
 """largest distance of a point from where forward and backward flow take it"""
+
+
+WORTH = TUNED.worth
 
 
 @cache
@@ -60,4 +63,4 @@ def _match(left: Image, right: Image, *, net: FlowNetwork) -> Matches:
     forth, back = flow[:, :, :h, :w].permute(0, 2, 3, 1).contiguous().numpy()
     found = consistent(forth, back, step=STEP, cycle_px=CYCLE_PX)
     uv_left, uv_right = (magnified(x, seen[0], left) for x in (found.uv_left, found.uv_right))
-    return Matches(uv_left, uv_right, found.score)
+    return worth(Matches(uv_left, uv_right, found.score), WORTH)

@@ -75,9 +75,8 @@ def views(
         eye = torch.eye(3, dtype=K.dtype, device=K.device).expand_as(R_init)
         frame = Frame(eye, eye, torch.zeros_like(t_init), torch.ones_like(t_init[:, :1]))
         return Views(_normalised(images), K, frame)
-    K_left, K_right = K.chunk(2)
-    rect = rectify(R_init, t_init, K_left, K_right, wh)
-    K_new = torch.cat([rect.K_new, rect.K_new])
+    rect = rectify(R_init, t_init, K_left, K_right, (W, H))
+    K_new = resized(torch.cat([rect.K_new, rect.K_new]), w / W, h / H)  # squeezed, not cut
     images, _ = warp(images, K, torch.cat([rect.R_left, rect.R_right]), K_new, wh)
     baseline = torch.linalg.vector_norm(t_init, dim=-1, keepdim=True)
     return Views(_normalised(images), K_new, Frame(rect.R_left, rect.R_right, t_init, baseline))

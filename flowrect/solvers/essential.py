@@ -62,19 +62,20 @@ def magsac(
 ) -> Solution:
     """MAGSAC++ of OpenCV (D. Barath et al., CVPR 2020)."""
     require_matches(matches, MIN_MATCHES)
-    focal = 0.25 * (K_left[0, 0] + K_left[1, 1] + K_right[0, 0] + K_right[1, 1])
-    left, right = (r[:, :2] for r in matches.rays(K_left, K_right))
+    K = np.eye(3) if options.normalised else K_left  # MAGSAC's own bounds are in pixels of K
+    left, right = (x[:, :2] @ K[:2, :2].T + K[:2, 2] for x in matches.rays(K_left, K_right))
     cv2.setRNGSeed(options.seed)
     try:
         E, inliers = cv2.findEssentialMat(
-            left, right, np.eye(3), method=cv2.USAC_MAGSAC, prob=options.confidence,
-            threshold=options.in_pixels(K_left) / focal, maxIters=options.iterations,
+            left, right, K, method=cv2.USAC_MAGSAC, prob=options.confidence,
+            threshold=options.threshold_px, maxIters=options.iterations,
         )  # fmt: skip
     except cv2.error as error:
         raise NoSolution(f"OpenCV finds no essential matrix ({error.err}).") from error
     if E is None or E.shape[0] < 3:
         raise NoSolution("OpenCV finds no essential matrix: degenerate matches?")
-    _, R, t, _ = cv2.recoverPose(E[:3], left, right, np.eye(3), mask=inliers.copy())
+    # Without distanceThresh, points beyond 50 baselines do not count for which way t points.
+    _, R, t, *_ = cv2.recoverPose(E[:3], left, right, K, distanceThresh=1e9, mask=inliers.copy())
     return _solution(R, t[:, 0], inliers[:, 0] > 0, prior)
 
 

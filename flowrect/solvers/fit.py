@@ -22,7 +22,15 @@ from scipy.optimize import least_squares
 
 from flowrect.matches import Matches
 from flowrect.solvers.solution import NoSolution, Solution, require_matches
-from simgen.geometry import Array, rotation_from_vector, skew
+from simgen.geometry import Array, rotation_from_vector, skew, vector_from_rotation
+
+INLIER_PX = 2.0
+"""largest Sampson error of a match that supports a pose"""
+MIN_SUPPORT = 20
+MIN_SHARE = 0.2
+"""of supporting matches among all"""
+MAX_TURN_DEG = 10.0
+"""of a pose against the prior"""
 
 
 @dataclass(frozen=True)
@@ -40,11 +48,6 @@ class Fit:
     """standard deviation of the prior direction of t, about each axis"""
     R_sigma_deg: float = 3.0
     """of the prior rotation: next to nothing where there are matches"""
-    inlier_px: float = 2.0
-    """largest Sampson error of a match that supports the pose"""
-    min_inliers: int = 20
-    min_share: float = 0.2
-    """of supporting matches among all: chance alone brings a tenth"""
     max_sigma_deg: float = 1.0
     """largest standard deviation of the turn about any axis: a few matches in one corner agree
     with many poses"""
@@ -59,23 +62,16 @@ def fit(
 ) -> Solution:
     """Fits a pose to matches, starting from the prior T_right_left (4, 4).
 
-    Raises NoSolution if there are too few matches, or too few that support the pose.
+    Raises NoSolution if there are too few matches, or they leave the rotation open.
     """
-    require_matches(matches, options.min_inliers)
+    require_matches(matches, MIN_SUPPORT)
     problem = _Problem(matches, K_left, K_right, prior, options)
     x = np.zeros(5 if options.free_t else 3)
     first = max(options.scales_px[0], np.deg2rad(options.start_deg) * K_left[1, 1])
     for scale in (first, *options.scales_px[1:]):
         x = least_squares(problem.residuals, x, loss=problem.loss(scale), x_scale=1e-2).x
     R, t = problem.pose(x)
-    error = np.abs(sampson_px(matches, K_left, K_right, R, t))
-    inliers = error < options.inlier_px
-    if inliers.sum() < max(options.min_inliers, options.min_share * len(matches)):
-        raise NoSolution(
-            f"only {inliers.sum()} of {len(matches)} matches lie within {options.inlier_px:g} px "
-            f"of the best pose; expected {options.min_inliers}, and {options.min_share:.0%}. Do "
-            "both images show the same scene, and is the prior roughly right?"
-        )
+    inliers = np.abs(sampson_px(matches, K_left, K_right, R, t)) < INLIER_PX
     covariance = problem.covariance(x, options.scales_px[-1], inliers)
     sigma_deg = np.rad2deg(np.sqrt(np.diag(covariance)[:3]))
     if sigma_deg.max() > options.max_sigma_deg:
@@ -84,6 +80,28 @@ def fit(
             f"axis, expected at most {options.max_sigma_deg:g}°. Are they all in one place?"
         )
     return Solution(R, t, inliers, covariance)
+
+
+def require_support(
+    solution: Solution, matches: Matches, K_left: Array, K_right: Array, prior: Array
+) -> None:
+    """NoSolution unless enough matches agree with a pose that is not far from the prior.
+
+    Some matches agree with any pose, by chance: a tenth of those in the wrong images did.
+    """
+    support = np.abs(sampson_px(matches, K_left, K_right, solution.R, solution.t)) < INLIER_PX
+    if support.sum() < max(MIN_SUPPORT, MIN_SHARE * len(matches)):
+        raise NoSolution(
+            f"only {support.sum()} of {len(matches)} matches lie within {INLIER_PX:g} px of the "
+            f"best pose; expected {MIN_SUPPORT}, and {MIN_SHARE:.0%}. Do both images show the same "
+            "scene, and is the prior roughly right?"
+        )
+    turn_deg = np.rad2deg(np.linalg.norm(vector_from_rotation(solution.R @ prior[:3, :3].T)))
+    if turn_deg > MAX_TURN_DEG:
+        raise NoSolution(
+            f"the best pose is {turn_deg:.0f}° away from the prior, expected at most "
+            f"{MAX_TURN_DEG:g}°: wrong matches, or a prior that is far off."
+        )
 
 
 def sampson_px(matches: Matches, K_left: Array, K_right: Array, R: Array, t: Array) -> Array:
@@ -133,7 +151,8 @@ class _Problem:
     def covariance(self, x: Array, scale: float, inliers: NDArray[np.bool_]) -> Array:
         """(5, 5) of (ω, b) [rad²], about the solution; that of the prior for what is not fitted.
 
-        Source: P. Huber, *Robust Statistics*, 7.6: (JᵀJ)⁻¹ mean(ψ²) / mean(ψ')² of an M-estimator.
+        Source: P. Huber, *Robust Statistics*, 7.6: (JᵀJ)⁻¹ mean(ψ²) / mean(ψ')² of an M-estimator;
+        here of the inliers, with what the prior adds.
         """
         step = 1e-6 * np.eye(len(x))
         r = self.residuals(x)[: len(inliers)][inliers]

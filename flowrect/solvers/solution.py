@@ -26,8 +26,8 @@ class Solution:
     inliers: NDArray[np.bool_]
     """(N,) the matches that support the pose"""
     covariance: Array | None = None
-    """(5, 5) [rad²] of the turn about the right camera's x, y, z, and of t's direction about the
-    two axes across it; None if the solver does not know it"""
+    """(5, 5) [rad²] of the turn about the right camera's x, y, z, and of t's direction along the
+    two axes across the prior's (y and z of a horizontal rig); None if the solver does not know"""
 
 
 def require_matches(matches: Matches, least: int) -> None:
