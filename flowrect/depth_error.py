@@ -71,6 +71,10 @@ class DepthSamples:
         true, estimated = ([getattr(s, n) for s in samples] for n in ("true_m", "estimated_m"))
         return DepthSamples(np.concatenate(true), np.concatenate(estimated))
 
+    def subset(self, index: NDArray[np.bool_]) -> DepthSamples:
+        """The chosen pixels."""
+        return DepthSamples(self.true_m[index], self.estimated_m[index])
+
     def by_range(self, edges_m: Sequence[float] = EDGES_M) -> list[RangeError]:
         """One row for each range of *true* depth, from ≤ z < to.
 

@@ -29,7 +29,7 @@ from rich.table import Table
 from flowrect.evaluation import tables
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation
 from flowrect.evaluation.predict import Report, Run, predict
-from flowrect.evaluation.predictions import origin_of, read
+from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
 from flowrect.matchers import load_matcher
@@ -82,7 +82,7 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
         unavailable = predict(run, report)
     for method, reason in unavailable.items():
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
-    rows = _read(run, delivery.open().fingerprint)
+    rows = predictions_of(options.out, delivery.open().fingerprint)
     scores = _scored(delivery.open(truth_points=None), rows, options, console)
     _write(options, scores, unavailable)
     write_report(options.out / "report.html", scores, rows, delivery.open(), unavailable)
@@ -102,18 +102,6 @@ def _scored(
             scores += of_pair
             report(done, len(pairs))
     return scores
-
-
-def _read(run: Run, fingerprint: str) -> Rows:
-    """All predictions in the folder that are of these pairs, also those of earlier commands."""
-    files = sorted((run.out / "predictions").glob("*.h5"))
-    origins = {path: origin_of(path) for path in files}
-    return {
-        (origin.method, translation): {r.index: r for r in read(path, origin)}
-        for translation in run.translations
-        for path, origin in origins.items()
-        if origin.data == fingerprint and origin.translation == translation
-    }
 
 
 def _write(options: EvaluateOptions, scores: Sequence[Score], unavailable: dict[str, str]) -> None:

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import json
+import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 from planes import along_x, plane_pair, turned
 from tiny_network import road_set
 
-from flowrect import evaluate_depth
-from flowrect.evaluate_depth import TRUTH, Options, depth_by, evaluate, main, unanswered
-from flowrect.methods import METHODS
+from flowrect.evaluate_depth import DepthOptions, depth_by, main
+from flowrect.evaluation.delivered import Delivery
+from flowrect.evaluation.predictions import Origin, Prediction, write
+from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
+from flowrect.methods import PoseEstimate
 from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing, sized
-from flowrect.solvers.solution import NoSolution
-
-
-def no_solution(*_: object) -> None:
-    raise NoSolution("too few matches")
 
 
 def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter(tmp_path):
     R, t = turned(0.3, -0.4, 0.5), along_x()
     pair = plane_pair(R, t, np.array([0.002, 0.02, 0.04]))
     window = sized(pair, Sizing(METRIC_WH)).metric
-    options = Options(tmp_path, nearest_m=6.0)
+    options = DepthOptions(tmp_path, nearest_m=6.0)
     true, wrong = R[0].numpy(), (turned(y=0.4) @ R)[0].numpy()
     rows = []
     for rotation, scale in ((true, 1.0), (true, 7.0), (wrong, 1.0)):
@@ -34,42 +32,48 @@ def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter(tmp_pa
     assert rows[0].coverage > 0.8
     assert rows[1] == pytest.approx(rows[0])
     assert rows[2].median_m > 3 * rows[0].median_m
-    empty = unanswered(window).by_range((0, 300))[0]
-    assert (empty.pixels, empty.answered) == (rows[0].pixels, 0)
 
 
-def test_every_method_answers_for_the_same_pixels_and_failures_are_counted(
-    tmp_path, monkeypatch, capsys
-):
+@pytest.fixture
+def given(tmp_path: Path) -> list[str]:
+    """A set, and results on it: of the true pose, of a wild one, and of a method that failed."""
     data = road_set(tmp_path / "set", frames=1)
-    monkeypatch.setitem(METHODS, "failing", lambda: no_solution)
-    given = ["--data", str(data), "--limit", "2", "--methods", "unrectified", "failing",
-             "--out", str(tmp_path / "rows.jsonl")]  # fmt: skip
+    pairs = Delivery(data, "all", (96, 48)).open()
+    for method in ("right", "wild", "failing"):
+        rows = []
+        for i in range(len(pairs)):
+            T = pairs[i].input.T_right_left
+            t = {"right": T[:3, 3], "wild": np.array([0.0, -1.0, 0.0])}.get(method)
+            pose = None if t is None else PoseEstimate(T[:3, :3], t)
+            rows.append(Prediction(i, "", pose, "" if pose else "too few matches"))
+        origin = Origin(method, "nominal", pairs.fingerprint, "0")
+        write(tmp_path / "results" / "predictions" / f"{method}.h5", rows, origin)
+    return ["--data", str(data), "--results", str(tmp_path / "results"), "--size", "96x48",
+            "--split", "all"]  # fmt: skip
+
+
+def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_the_prior(
+    given, tmp_path, capsys
+):
     assert main(given) == 0
     printed = capsys.readouterr().out
-    assert "failing (2 failed)" in printed
-    assert "bias in m" in printed
-    rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
-    pixels = {
-        name: [r["pixels"] for r in rows if r["method"] == name]
-        for name in ("unrectified", "failing", TRUTH)
-    }
-    assert pixels["unrectified"] == pixels["failing"] == pixels[TRUTH]
-    assert sum(pixels[TRUTH]) > 1000
-    assert not any(r["answered"] for r in rows if r["method"] == "failing")
+    assert "failing (3 failed)" in printed
+    assert "wild (3 failed)" in printed  # its baseline is vertical
+    with (tmp_path / "results" / "depth.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    of = {name: [r for r in rows if r["method"] == name]
+          for name in (UNRECTIFIED, "right", "wild", "failing", TRUTH)}  # fmt: skip
+    for figure in ("pixels", "coverage", "mae_m", "mae_common_m"):
+        column = {name: [r[figure] for r in found] for name, found in of.items()}
+        assert column["failing"] == column["wild"] == column[UNRECTIFIED]
+        assert column["right"] == column[TRUTH]
+    assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
 
 
-def test_depth_of_no_data_or_no_matcher_is_refused(tmp_path, capsys):
+def test_depth_without_predictions_or_matcher_is_refused(given, tmp_path, capsys):
     assert main(["--data", str(tmp_path / "no")]) == 2
     assert "no such folder" in capsys.readouterr().err
-    data = road_set(tmp_path / "set", frames=1)
-    assert main(["--data", str(data), "--stereo", "psm", "--methods", "unrectified"]) == 2
+    assert main([*given, "--size", "64x32"]) == 2
+    assert "Run python -m flowrect.evaluate with the same" in capsys.readouterr().err
+    assert main([*given, "--stereo", "psm"]) == 2
     assert "stereo matcher 'psm': expected one of sgbm" in capsys.readouterr().err
-
-
-def test_pairs_are_chosen_evenly(tmp_path, monkeypatch):
-    data = road_set(tmp_path / "set", frames=1)
-    seen = []
-    monkeypatch.setattr(evaluate_depth, "_add_pair", lambda _, pair, __: seen.append(pair.name))
-    evaluate(Options(data, limit=2))
-    assert seen == ["frame 0, cameras 0 and 1", "frame 0, cameras 0 and 2"]

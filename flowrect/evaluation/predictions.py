@@ -134,3 +134,14 @@ def _row(i: int, arrays: dict[str, Array], texts: dict[str, list[str]]) -> Predi
         notes=tuple(json.loads(texts["notes"][i])),
     )
     return Prediction(index, name, estimate)
+
+
+def predictions_of(folder: Path, data: str) -> dict[tuple[str, str], dict[int, Prediction]]:
+    """All predictions in a results folder that are of these pairs: by method and t, by pair."""
+    files = sorted((folder / "predictions").glob("*.h5"))
+    origins = {path: origin_of(path) for path in files}
+    return {
+        (origin.method, origin.translation): {r.index: r for r in read(path, origin)}
+        for path, origin in origins.items()
+        if origin.data == data
+    }

@@ -59,7 +59,7 @@ class Score:
     seconds: float = 0.0
 
 
-Rows = Mapping[tuple[str, Translation], Mapping[int, Prediction]]
+Rows = Mapping[tuple[str, str], Mapping[int, Prediction]]
 """predictions by method, translation and pair"""
 
 
