@@ -36,9 +36,6 @@ from flowrect.matchers import load_matcher
 from flowrect.methods import METHODS
 from simgen.errors import UserError
 
-OFFSETS = {"sift": "sift-paper"}
-"""figure: the matcher that measures what is left between rectified images"""
-
 
 @dataclass(frozen=True)
 class EvaluateOptions:
@@ -60,8 +57,11 @@ class EvaluateOptions:
     """pairs at most, evenly chosen; 0: all"""
     turn_deg: float = 0.0
     """turns the cameras of rectified real pairs by known rotations, each component within ± this"""
+    offsets: tuple[str, ...] = ("sift-paper",)
+    """matchers that measure what is left between rectified images; aliked takes the place of the
+    paper's SuperGlue"""
     matched_pairs: int = 86
-    """pairs, evenly chosen, for figures that match the rectified images anew"""
+    """pairs, evenly chosen, for these"""
     time_limit_s: float = 120.0
     """that a method may take for a pair; then it is stopped, which counts as a failure"""
     jobs: int = 1
@@ -92,7 +92,7 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
 def _scored(
     pairs: Delivered, rows: Rows, options: EvaluateOptions, console: Console
 ) -> list[Score]:
-    matchers = {figure: load_matcher(name) for figure, name in OFFSETS.items()}
+    matchers = {name.removesuffix("-paper"): load_matcher(name) for name in options.offsets}
     num = min(options.matched_pairs, len(pairs))
     matched = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
     scores: list[Score] = []

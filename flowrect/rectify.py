@@ -279,7 +279,8 @@ def write_summary(out: Path) -> None:
         rows.writerow(SUMMARY)
         for x in results:
             flat = {**x, **dict(zip(ANGLES, x["correction_deg"], strict=True))}
-            rows.writerow([flat[name] for name in SUMMARY[:-1]] + [" ".join(x["notes"])])
+            # Results of an earlier version, which are kept, may lack a figure.
+            rows.writerow([flat.get(name, "") for name in SUMMARY[:-1]] + [" ".join(x["notes"])])
 
 
 # --- the command -------------------------------------------------------------------------------
@@ -317,7 +318,14 @@ def run(options: RectifyOptions, console: Console) -> int:
 def _with_weights(options: RectifyOptions) -> str:
     """The method's name with the weights that are asked for."""
     head, plus, solver = options.method.partition("+")
-    return f"network={options.weights}{plus}{solver}" if head == "network" else options.method
+    if head == "network":
+        return f"network={options.weights}{plus}{solver}"
+    if options.weights != "small":
+        raise UserError(
+            f"--weights {options.weights}: the method {options.method} has no network. Leave "
+            "--weights out, or ask for --method network or network+5dof."
+        )
+    return options.method
 
 
 def _say(console: Console, quality: Quality, lacks: Sequence[str]) -> None:

@@ -33,12 +33,12 @@ def figure_names(scores: Sequence[Score]) -> list[str]:
     return list(dict.fromkeys(name for s in scores for name in s.figures))
 
 
-def summary(scores: Sequence[Score], figure: str) -> Summary | None:
-    """Over the pairs that have the figure; None if none has."""
+def summary(scores: Sequence[Score], figure: str, *, signed: bool = False) -> Summary | None:
+    """Over the pairs that have the figure, of its size unless ``signed``; None if none has."""
     known = [s for s in scores if np.isfinite(s.figures.get(figure, np.nan))]
     if not known:
         return None
-    values = [abs(s.figures[figure]) for s in known]
+    values = [s.figures[figure] if signed else abs(s.figures[figure]) for s in known]
     return summarise(values, [s.scene for s in known], rng=np.random.default_rng(0))
 
 
@@ -65,7 +65,7 @@ def write_summary(path: Path, scores: Sequence[Score]) -> None:
     rows = []
     for (method, translation), group in grouped(scores).items():
         for figure in figure_names(scores):
-            if (s := summary(group, figure)) is not None:
+            if (s := summary(group, figure, signed=True)) is not None:
                 low, high = s.interval
                 rows.append([method, translation, figure, s.mean, s.median, s.p95, low, high,
                              s.num, failures(group)])  # fmt: skip
