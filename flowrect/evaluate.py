@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import tyro
 from rich.console import Console
 from rich.markup import escape
@@ -27,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from flowrect.evaluation import tables
-from flowrect.evaluation.delivered import Delivered, Delivery, Translation
+from flowrect.evaluation.delivered import Delivered, Delivery, Translation, evenly
 from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
@@ -93,8 +92,7 @@ def _scored(
     pairs: Delivered, rows: Rows, options: EvaluateOptions, console: Console
 ) -> list[Score]:
     matchers = {name.removesuffix("-paper"): load_matcher(name) for name in options.offsets}
-    num = min(options.matched_pairs, len(pairs))
-    matched = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
+    matched = evenly(options.matched_pairs, len(pairs))
     scores: list[Score] = []
     with _Progress(console, "scoring") as report:
         of_pairs = scored(pairs, rows, options.translations, matchers=matchers, matched=matched)

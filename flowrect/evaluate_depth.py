@@ -29,7 +29,7 @@ from flowrect.depth.frame import depth_frame
 from flowrect.depth_error import EDGES_M, DepthSamples, RangeError, measured
 from flowrect.drectify import rectify
 from flowrect.evaluate import wh_of
-from flowrect.evaluation.delivered import Delivery, Translation, prior
+from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior
 from flowrect.evaluation.predictions import Prediction, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.sample import Pair
@@ -91,10 +91,8 @@ def evaluate(options: DepthOptions) -> dict[str, Tally]:
             "python -m flowrect.evaluate with the same --data, --size, --split and --limit first."
         )
     pairs = delivery.open(truth_points=TRUTH_POINTS)
-    num = min(options.pairs, len(pairs))
-    chosen = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
     tallies = {name: Tally() for name in (UNRECTIFIED, *rows, TRUTH)}
-    for i in track(chosen, "pairs"):
+    for i in track(evenly(options.pairs, len(pairs)), "pairs"):
         _add_pair(tallies, pairs[i].metric, {m: found.get(i) for m, found in rows.items()}, options)
     return tallies
 

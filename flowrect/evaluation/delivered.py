@@ -45,9 +45,13 @@ class Delivery:
         split = self.split if rendered and self.split != "all" else None
         pairs = open_source(self.data, split=split, root=self.root, truth_points=truth_points,
                             trusted=self.turn_deg > 0)  # fmt: skip
-        num = min(self.limit or len(pairs), len(pairs))
-        chosen = np.linspace(0, len(pairs) - 1, num).round().astype(int).tolist()
-        return Delivered(self, pairs, chosen)
+        return Delivered(self, pairs, evenly(self.limit or len(pairs), len(pairs)))
+
+
+def evenly(num: int, of: int) -> list[int]:
+    """At most ``num`` of the indices below ``of``, evenly spread from the first to the last."""
+    chosen: list[int] = np.linspace(0, of - 1, min(num, of)).round().astype(int).tolist()
+    return chosen
 
 
 class Delivered(Sequence[Prepared]):

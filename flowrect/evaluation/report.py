@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from flowrect.drectify import rectify, warp
+from flowrect.depth_error import rectified_images
+from flowrect.drectify import rectify
 from flowrect.evaluation import tables
-from flowrect.evaluation.delivered import Delivered, prior
+from flowrect.evaluation.delivered import Delivered, evenly, prior
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
 from flowrect.sample import Image, Pair
 from simgen.charts import SERIES, SIZE, empty, label, legend_above, to_svg
@@ -155,10 +156,8 @@ def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
 
 
 def _overlays(rows: Rows, pairs: Delivered, translation: str) -> str:
-    num = min(NUM_SHOWN, len(pairs))
-    chosen = np.linspace(0, len(pairs) - 1, num + 2).round().astype(int)[1:-1]
     cells = []
-    for i in chosen.tolist():
+    for i in evenly(NUM_SHOWN + 2, len(pairs))[1:-1] or range(len(pairs)):
         pair = pairs[i].metric
         T = prior(pair, "gt" if translation == "gt" else "nominal")
         shown: dict[str, tuple[Array, Array] | None] = {UNRECTIFIED: None}
@@ -187,20 +186,11 @@ def overlay(pair: Pair, pose: tuple[Array, Array] | None) -> Image:
 
 
 def _rectified(pair: Pair, R: Array, t: Array) -> tuple[Image, Image]:
-    R_, t_, K_left, K_right = (
+    R_given, t_given, K_left, K_right = (
         torch.from_numpy(np.asarray(x, dtype=np.float64))[None]
         for x in (R, t, pair.K_left, pair.K_right)
     )
-    rect = rectify(R_, t_, K_left, K_right, pair.wh)
-    views = []
-    for image, K, R_rect in (
-        (pair.left, K_left, rect.R_left),
-        (pair.right, K_right, rect.R_right),
-    ):
-        tensor = torch.from_numpy(image).permute(2, 0, 1)[None].float()
-        warped, _ = warp(tensor, K, R_rect, rect.K_new, pair.wh)
-        views.append(warped[0].round().clamp(0, 255).byte().permute(1, 2, 0).numpy())
-    return views[0], views[1]
+    return rectified_images(pair, rectify(R_given, t_given, K_left, K_right, pair.wh))
 
 
 def _figure(image: Image, caption: str) -> str:
