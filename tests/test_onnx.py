@@ -22,7 +22,8 @@ CARD = Card(preset="custom", prior_range_deg=(2.0, 2.0, 2.0), keep=0.9)
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(TINY, id="displacement"),
+        pytest.param(replace(TINY, passes=1), id="displacement"),
+        pytest.param(TINY, id="displacement, two passes", marks=pytest.mark.slow),
         pytest.param(TINY_PAPER, id="conv3d", marks=pytest.mark.slow),
     ],
 )

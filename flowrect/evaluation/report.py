@@ -28,6 +28,8 @@ NUM_SHOWN = 3
 OVERLAY_W = 384
 GUIDES = 8
 """horizontal lines over an overlay"""
+NAME_LENGTH = 22
+"""of a method in a legend"""
 NOISE_PX = 0.5
 """of a match, for the Cramér–Rao bound"""
 
@@ -85,6 +87,11 @@ def _charts(scores: Sequence[Score], pairs: Delivered) -> str:
     return f'<div class="charts">{"".join(drawn)}</div>'
 
 
+def _short(method: str) -> str:
+    """A name that fits a legend: of a path its end."""
+    return method if len(method) <= NAME_LENGTH else "…" + method[1 - NAME_LENGTH :]
+
+
 def _colours(groups: dict[str, list[Score]]) -> dict[str, str]:
     return {m: SERIES[k % len(SERIES)] for k, m in enumerate(groups)}
 
@@ -98,7 +105,7 @@ def _cumulative(groups: dict[str, list[Score]]) -> Figure:
     for method, color in _colours(groups).items():
         error = np.sort([_geodesic(s) for s in groups[method]])
         share = 100 * (np.arange(len(error)) + 1) / len(error)
-        axes.step(error, share, where="post", color=color, label=method, linewidth=1.4)
+        axes.step(error, share, where="post", color=color, label=_short(method), linewidth=1.4)
     axes.set_xscale("log")
     axes.set_ylim(0, 100)
     label(axes, "geodesic error [°]", "% of pairs")
@@ -113,7 +120,7 @@ def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
         known = [s for s in groups[method] if s.num_matches]
         if known:
             num, error = [s.num_matches or 0 for s in known], [_geodesic(s) for s in known]
-            axes.plot(num, error, ".", markersize=3, color=color, label=method, alpha=0.6)
+            axes.plot(num, error, ".", markersize=3, color=color, label=_short(method), alpha=0.6)
     pair = pairs[0].input
     counts = np.geomspace(20, 20_000, 50)
     bound = cramer_rao_deg(counts, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
@@ -144,7 +151,7 @@ def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
         parts = [[_geodesic(s) for s in groups[method] if key(s) in (n, "")]
                  for n in names]  # fmt: skip
         axes.plot(names, [np.median(p) if p else np.nan for p in parts], "o", color=color,
-                  markersize=5, label=method)  # fmt: skip
+                  markersize=5, label=_short(method))  # fmt: skip
     axes.set_yscale("log")
     axes.tick_params(axis="x", labelrotation=20)
     label(axes, "", "median geodesic error [°]")
