@@ -10,6 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from flowrect.depth_error import rectified_images
@@ -93,7 +95,11 @@ def _short(method: str) -> str:
 
 
 def _colours(groups: dict[str, list[Score]]) -> dict[str, str]:
-    return {m: SERIES[k % len(SERIES)] for k, m in enumerate(groups)}
+    """One for each method, no two alike."""
+    if len(groups) <= len(SERIES):
+        return dict(zip(groups, SERIES, strict=False))
+    spread = colormaps["turbo"](np.linspace(0.02, 0.98, len(groups)))
+    return {m: to_hex(color) for m, color in zip(groups, spread, strict=True)}
 
 
 def _geodesic(score: Score) -> float:
