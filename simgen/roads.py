@@ -351,7 +351,7 @@ _SURFACE_OF_OBJECT = {
 def _read_surfaces(obj_path: Path) -> dict[str, Surface]:
     """Ground triangles of roadgen's OBJ, whose (x, y, z) is our (x, z, −y).
 
-    Read in whole columns: as Python's own numbers they would take ten times the time, and leave
+    Read in whole columns: as Python's own numbers they would take three times the time, and leave
     holes in memory that stay.
     """
     vertices = []

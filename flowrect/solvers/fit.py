@@ -87,7 +87,7 @@ def require_support(
 ) -> None:
     """NoSolution unless enough matches agree with a pose that is not far from the prior.
 
-    Some matches agree with any pose, by chance: a tenth of those in the wrong images did.
+    Some matches agree with any pose, by chance.
     """
     support = np.abs(sampson_px(matches, K_left, K_right, solution.R, solution.t)) < INLIER_PX
     if support.sum() < max(MIN_SUPPORT, MIN_SHARE * len(matches)):
