@@ -224,14 +224,14 @@ def _trace_wavefront(
     axes = (mi.Float(np.ascontiguousarray(d)) for d in directions)
     ray = mi.Ray3f(point, mi.Vector3f(*axes))
     hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
-    registry_id: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
-    dr.eval(registry_id, hit.prim_index)
     pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in scene.shapes]
     slot_ids = [p.numpy()[0] for p in pointers]
     first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int32)
     first_face[slot_ids] = scene.first_face
-    shape = registry_id.numpy()
-    return np.where(shape == 0, NO_FACE, first_face[shape] + hit.prim_index.numpy())
+    shape: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
+    first = dr.gather(mi.Int32, mi.Int32(first_face), shape)
+    face = dr.select(shape == 0, NO_FACE, first + mi.Int32(hit.prim_index))
+    return np.asarray(face.numpy())
 
 
 def _trace_scalar(

@@ -121,9 +121,10 @@ def warmth(radiances: Sequence[Image]) -> float:
 
     Source: Finlayson and Trezzi, Shades of gray and colour constancy (2004).
     """
-    exposed = _rows(1 / 3, 1, radiances).astype(np.float64) * meter(radiances)
-    exposed = np.maximum(exposed / np.maximum(exposed.max(axis=1, keepdims=True), 1.0), 1e-4)
-    red, _, blue = (exposed**6).mean(axis=0) ** (1 / 6)
+    planes = np.array(_rows(1 / 3, 1, radiances).T, dtype=np.float64, order="C")
+    planes *= meter(radiances)
+    planes = np.maximum(planes / np.maximum(planes.max(axis=0), 1.0), 1e-4)
+    red, _, blue = (planes**6).mean(axis=1) ** (1 / 6)
     return float(np.log(red / blue))
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from simgen import lens, tone
 from simgen.mesh import blocks
@@ -26,6 +27,8 @@ Image = NDArray[Any]
 
 _ROWS = 16
 """of an image, worked on while they are in the cache"""
+_NORMAL = ndtri((np.arange(1 << 16) + 0.5) / (1 << 16)).astype(np.float32)
+"""values of equal probability: drawing from them takes a quarter of the time of drawing floats"""
 
 
 def develop(radiance: Image, exposure: Exposure, *, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -64,6 +67,6 @@ def _add_noise(exposed: Image, exposure: Exposure, *, rng: np.random.Generator) 
         for rows in blocks(len(plane), _ROWS):
             variance = np.maximum(plane[rows], 0) / np.float32(exposure.electrons)
             variance += read_variance
-            noise = rng.standard_normal(variance.shape, dtype=np.float32)
+            noise = np.take(_NORMAL, rng.integers(1 << 16, size=variance.shape, dtype=np.uint16))
             noise *= np.sqrt(variance, out=variance)
             plane[rows] += noise
