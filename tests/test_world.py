@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,11 +23,17 @@ OPTICS = Optics(focal_px=48.0, hfov_rad=np.pi / 2, nearest_m=2.5)
 VEHICLES = {LABELS[n] for n in ("car", "truck", "bus", "motorcycle", "trailer")}
 
 
-@pytest.fixture(scope="module", params=recipe_names())
-def built(request: pytest.FixtureRequest) -> tuple[World, Site, world.Drive]:
-    spec = make_spec(request.param, 7)
+@cache
+def scene_of(recipe: str) -> tuple[World, Site, world.Drive]:
+    """One world of each recipe, for all tests that only look at it."""
+    spec = make_spec(recipe, 7)
     drive = world.drive(spec, 0)
     return world.build(spec, drive, OPTICS), Site(drive.network), drive
+
+
+@pytest.fixture(params=recipe_names())
+def built(request: pytest.FixtureRequest) -> tuple[World, Site, world.Drive]:
+    return scene_of(request.param)
 
 
 def things(parts: list[Part], classes: set[int]) -> list[np.ndarray]:
@@ -94,8 +102,9 @@ def test_no_horizon_is_empty(built):
 
 
 def test_same_spec_same_world():
-    spec = make_spec("suburban", 9)
-    a, b = (world.build(spec, world.drive(spec, 0), OPTICS) for _ in range(2))
+    a, *_ = scene_of("suburban")
+    spec = make_spec("suburban", 7)
+    b = world.build(spec, world.drive(spec, 0), OPTICS)
     assert len(a.parts) == len(b.parts)
     for p, q in zip(a.parts, b.parts, strict=True):
         np.testing.assert_array_equal(p.vertices, q.vertices)
@@ -103,16 +112,13 @@ def test_same_spec_same_world():
 
 
 def test_a_town_shows_many_classes():
-    spec = make_spec("urban", 11)
-    seen = {p.semantic for p in world.build(spec, world.drive(spec, 0), OPTICS).parts}
+    seen = {p.semantic for p in scene_of("urban")[0].parts}
     assert {LABELS[n] for n in ("building", "car", "vegetation", "pole", "terrain")} <= seen
 
 
 def test_lamps_burn_at_night_only():
-    from dataclasses import replace
-
+    day, *_ = scene_of("urban")
     spec = make_spec("urban", 7)
-    day = world.build(spec, world.drive(spec, 0), OPTICS)
     dark = replace(spec, sky=replace(spec.sky, daylight="night", sun_elevation_deg=-12.0))
     night = world.build(dark, world.drive(dark, 0), OPTICS)
     assert not day.lamps
@@ -142,8 +148,7 @@ def test_a_drive_beyond_the_end_of_the_road_is_refused():
 
 
 def test_only_sheets_in_use_are_drawn():
-    spec = make_spec("highway", 3)
-    scene = world.build(spec, world.drive(spec, 0), OPTICS)
+    scene, *_ = scene_of("highway")
     used = {p.material for p in scene.parts}
     drawn = {name for name, sheet in scene.sheets.items() if np.ptp(sheet.image) > 0}
     assert drawn == used & set(scene.sheets)
@@ -152,10 +157,7 @@ def test_only_sheets_in_use_are_drawn():
 
 def test_sheets_have_one_size_and_scale_in_all_scenes():
     """Both are part of the renderer's kernels: a scene with others would compile."""
-    town, motorway = (
-        world.build(spec, world.drive(spec, 0), OPTICS).sheets
-        for spec in (make_spec("urban", 11), make_spec("highway", 3))
-    )
+    town, motorway = (scene_of(recipe)[0].sheets for recipe in ("urban", "highway"))
     sizes = [{k: (x.image.shape, x.metres) for k, x in s.items()} for s in (town, motorway)]
     assert sizes[0] == sizes[1]
 
