@@ -113,11 +113,12 @@ def _drawn_field(cover: float, towards_sun: Array, *, rng: np.random.Generator) 
 
 
 def _lumps(rng: np.random.Generator) -> Image:
-    """Heights of cauliflower (N, N) about 0, periodic: coarse waves and ever finer bulges."""
+    """Heights of cauliflower (N, N) about 0, periodic: coarse waves and ever finer bulges, which
+    are round on top and meet in creases."""
     total = np.zeros((_TILE, _TILE), dtype=np.float32)
     for octave, cells in enumerate((8, 16, 32, 64, 128, 256)):
         noise = _periodic(rng.standard_normal((cells, cells), dtype=np.float32))
-        total += (noise if octave < 1 else 0.75 - np.abs(noise)) * np.float32(0.58**octave)
+        total += (noise if octave < 1 else np.abs(noise)) * np.float32(0.58**octave)
     return total - float(total.mean())
 
 
@@ -223,8 +224,8 @@ _FIRST = np.array(
 ) / np.float32(16)  # fmt: skip
 """Where neighbouring rays take their first step (Bayer's matrix): the mean over any 4×4 of them,
 which is what is kept, sees 16 times as many levels."""
-_SLOPE = np.float32(0.4 * TOP_KM)
-"""km of height per unit of the field"""
+_SLOPE = np.float32(0.24 * TOP_KM)
+"""km of height per unit of the field; with twice as much, small clouds are cones"""
 
 
 def _radiance(light: Light, d: Image, sunlit: Image, diffuse: Image, solid: float) -> Image:
