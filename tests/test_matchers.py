@@ -19,7 +19,7 @@ from torch import Tensor
 
 from flowrect import matchers
 from flowrect.flow_network import FlowCard, FlowNetwork, save_flow
-from flowrect.matchers import _images, _weights, efficientloftr, load_matcher, raft
+from flowrect.matchers import _images, _weights, efficientloftr, load_matcher, raft, sift
 from flowrect.matches import Matches
 from flowrect.methods import METHODS
 from flowrect.sample import Image
@@ -361,3 +361,16 @@ def test_versions_are_those_that_are_installed_by_the_makefile():
     lines = (Path(__file__).parents[1] / "constraints.txt").read_text().splitlines()
     pinned = {f"{k.replace('_', '-')}=={v}" for k, v in _weights.PINNED.items()}
     assert pinned <= set(lines)
+
+
+@pytest.mark.parametrize("rows", [64, 4096])
+def test_neighbours_are_those_of_opencv(rows, monkeypatch):
+    """For two windows of a wall, whatever the number of descriptors that are compared at once."""
+    monkeypatch.setattr(sift, "_ROWS", rows)
+    _, first = sift._features(window(40, 30), sift.TUNED)
+    _, second = sift._features(window(47, 33), sift.TUNED)
+    neighbours = cv2.BFMatcher().knnMatch(first, second, k=2)
+    expected = [(a.queryIdx, a.trainIdx) for a, b in neighbours if a.distance < 0.8 * b.distance]
+    assert len(first) % 64
+    assert len(expected) > 100
+    np.testing.assert_array_equal(sift._best(first, second, 0.8), expected)
