@@ -177,9 +177,25 @@ def shown_truth(pair: Pair) -> Correspondences:
     return replace(pair.truth, visible=visible)
 
 
-def measured(
+@dataclass(frozen=True, eq=False)
+class MatchedPair:
+    """A pair, rectified by some pose, and what a stereo matcher says of it."""
+
+    left: Image
+    right: Image
+    """rectified"""
+    disparity: NDArray[np.floating]
+    """(H, W) u_left − u_right [px] on the rectified left image, NaN where unknown"""
+    frame: DepthFrame
+
+    def samples(self, pair: Pair) -> DepthSamples:
+        """Its depth where the pair, from before it was rectified, knows the truth."""
+        return depth_samples(self.disparity, self.frame, shown_truth(pair))
+
+
+def matched(
     pair: Pair, rect: Rectification, frame: DepthFrame, match: StereoMatcher
-) -> DepthSamples:
-    """Depth samples of a matcher on the pair, rectified by ``rect`` (a batch of one)."""
-    disparity = match(*rectified_images(pair, rect))
-    return depth_samples(disparity, frame, shown_truth(pair))
+) -> MatchedPair:
+    """The pair, rectified by ``rect`` (a batch of one) and matched."""
+    left, right = rectified_images(pair, rect)
+    return MatchedPair(left, right, match(left, right), frame)

@@ -26,10 +26,11 @@ from rich.table import Table
 
 from flowrect.depth import StereoMatcher, load_stereo
 from flowrect.depth.frame import depth_frame
-from flowrect.depth_error import EDGES_M, DepthSamples, RangeError, measured
+from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, matched
 from flowrect.drectify import rectify
 from flowrect.evaluate import wh_of
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior
+from flowrect.evaluation.depth_report import Picture, Ranges, depth_rows, write_depth_report
 from flowrect.evaluation.predictions import Prediction, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.sample import Pair
@@ -38,6 +39,8 @@ from simgen.geometry import Array
 
 TRUTH_POINTS = 100_000
 """left pixels of a pair, evenly chosen, whose depth is compared"""
+NUM_SHOWN = 3
+"""pairs whose depth is shown as every method rectifies them"""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,8 @@ class DepthOptions:
     data: Path
     """a set of simgen, as it was given to flowrect.evaluate"""
     results: Path = Path("results")
-    """folder of flowrect.evaluate: all methods in it are taken, and depth.csv is written to it"""
+    """folder of flowrect.evaluate: all methods in it are taken, and depth.csv and depth.html
+    are written to it"""
     translation: Translation = "nominal"
     """which of the predictions"""
     stereo: str = "sgbm"
@@ -71,6 +75,8 @@ class Tally:
     """What a method's pairs gave."""
 
     samples: list[DepthSamples] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
+    """of some pairs"""
     failed: int = 0
     """pairs for which it found no pose, or one that does not rectify"""
 
@@ -92,48 +98,52 @@ def evaluate(options: DepthOptions) -> dict[str, Tally]:
         )
     pairs = delivery.open(truth_points=TRUTH_POINTS)
     tallies = {name: Tally() for name in (UNRECTIFIED, *rows, TRUTH)}
-    for i in track(evenly(options.pairs, len(pairs)), "pairs"):
-        _add_pair(tallies, pairs[i].metric, {m: found.get(i) for m, found in rows.items()}, options)
+    chosen = evenly(options.pairs, len(pairs))
+    shown = {chosen[k] for k in evenly(NUM_SHOWN, len(chosen))}
+    for i in track(chosen, "pairs"):
+        pair = pairs[i].metric
+        found = _matched_by_all(tallies, pair, {m: r.get(i) for m, r in rows.items()}, options)
+        for name, rectified in found.items():
+            tallies[name].samples.append(rectified.samples(pair))
+            if i in shown:
+                tallies[name].pictures.append(Picture.of(rectified, pair.name, name))
     return tallies
 
 
-def _add_pair(
+def _matched_by_all(
     tallies: dict[str, Tally],
     pair: Pair,
     rows: Mapping[str, Prediction | None],
     options: DepthOptions,
-) -> None:
+) -> dict[str, MatchedPair]:
+    """The pair as each method rectifies it; failures are counted."""
     T, T_prior = pair.T_right_left, prior(pair, options.translation)
     assert T is not None, "as delivered"
-    left_over = depth_by(T_prior[:3, :3], T_prior[:3, 3], pair, options)
-    for name, tally in tallies.items():
-        row = rows.get(name)
-        if name == UNRECTIFIED:
-            samples = left_over
-        elif name == TRUTH:
-            samples = depth_by(T[:3, :3], T[:3, 3], pair, options)
-        else:
-            found = _by_prediction(row, T_prior, pair, options)
-            tally.failed += found is None
-            samples = found or left_over
-        tally.samples.append(samples)
+    left_over = matched_by(T_prior[:3, :3], T_prior[:3, 3], pair, options)
+    found = {UNRECTIFIED: left_over}
+    for name, row in rows.items():
+        own = _by_prediction(row, T_prior, pair, options)
+        tallies[name].failed += own is None
+        found[name] = own or left_over
+    found[TRUTH] = matched_by(T[:3, :3], T[:3, 3], pair, options)
+    return found
 
 
 def _by_prediction(
     row: Prediction | None, T_prior: Array, pair: Pair, options: DepthOptions
-) -> DepthSamples | None:
+) -> MatchedPair | None:
     """None if there is no pose, or it makes no rig of the cameras."""
     if row is None or row.estimate is None:
         return None
     t = T_prior[:3, 3] if options.translation == "gt" else row.estimate.t
     try:
-        return depth_by(row.estimate.R, t, pair, options)
+        return matched_by(row.estimate.R, t, pair, options)
     except UserError:  # the baseline of a wild pose is vertical, or reversed
         return None
 
 
-def depth_by(R: Array, t: Array, window: Pair, options: DepthOptions) -> DepthSamples:
-    """Depth samples of a pair that is rectified by a pose; only the direction of t counts."""
+def matched_by(R: Array, t: Array, window: Pair, options: DepthOptions) -> MatchedPair:
+    """The pair, rectified by a pose and matched; only the direction of t counts."""
     nominal = window.T_right_left_nominal
     t = t * np.linalg.norm(nominal[:3, 3]) / np.linalg.norm(t)
     K_left, K_right, R_own, t_own, R_given, t_given = (
@@ -147,13 +157,13 @@ def depth_by(R: Array, t: Array, window: Pair, options: DepthOptions) -> DepthSa
     match: StereoMatcher = load_stereo(
         options.stereo, largest_px=largest_px, weights=options.stereo_weights
     )
-    return measured(window, rect, frame, match)
+    return matched(window, rect, frame, match)
 
 
 # --- tables ------------------------------------------------------------------------------------
 
 
-def by_range(tallies: dict[str, Tally]) -> dict[str, list[tuple[RangeError, RangeError]]]:
+def by_range(tallies: dict[str, Tally]) -> Ranges:
     """Errors of each method and range: of its own answers, and of pixels that all answered.
 
     The first alone would favour whoever answers for the easy pixels only.
@@ -170,27 +180,24 @@ COLUMNS = ("method", "failed_pairs", "from_m", "to_m", "pixels", "coverage", "ma
            "bias_m", "mae_common_m", "median_common_m")  # fmt: skip
 
 
-def write_csv(path: Path, tallies: dict[str, Tally]) -> None:
+def write_csv(path: Path, ranges: Ranges, failed: Mapping[str, int]) -> None:
     """One line for each method and range."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for name, rows in by_range(tallies).items():
+        for name, rows in ranges.items():
             for own, common in rows:
-                writer.writerow([name, tallies[name].failed, own.from_m, own.to_m, own.pixels,
+                writer.writerow([name, failed[name], own.from_m, own.to_m, own.pixels,
                                  own.coverage, own.mae_m, own.median_m, own.bias_m, common.mae_m,
                                  common.median_m])  # fmt: skip
 
 
-def table(tallies: dict[str, Tally], title: str) -> Table:
+def table(ranges: Ranges, failed: Mapping[str, int], title: str) -> Table:
     """MAE and median [m] of pixels that all answered, and each method's own coverage, by range."""
-    ranges = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
-    result = Table("", *ranges, "mean MAE", title=title)
-    for name, rows in by_range(tallies).items():
-        cells = [f"{c.mae_m:.2f} / {c.median_m:.2f}\n{own.coverage:.0%}" for own, c in rows]
-        failed = tallies[name].failed
-        mean = np.nanmean([c.mae_m for _, c in rows])
-        result.add_row(name + (f" ({failed} failed)" if failed else ""), *cells, f"{mean:.2f}")
+    columns = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
+    result = Table("", *columns, "mean MAE", title=title)
+    for row in depth_rows(ranges, failed):
+        result.add_row(*row)
     return result
 
 
@@ -202,12 +209,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    write_csv(options.results / "depth.csv", tallies)
+    ranges = by_range(tallies)
+    failed = {name: tally.failed for name, tally in tallies.items()}
+    write_csv(options.results / "depth.csv", ranges, failed)
     num = len(tallies[TRUTH].samples)
-    title = (
-        f"{options.stereo}, {num} pairs: MAE / median in m of pixels that all answered; own answers"
-    )
-    Console(width=200).print(table(tallies, title))
+    title = f"{options.stereo}, {num} pairs, t = {options.translation}"
+    pictures = [tally.pictures[k] for k in range(len(tallies[TRUTH].pictures))
+                for tally in tallies.values()]  # fmt: skip
+    report = options.results / "depth.html"
+    write_depth_report(report, title, ranges, failed, pictures)
+    title += ": MAE / median in m of pixels that all answered; own answers"
+    Console(width=200).print(table(ranges, failed, title))
+    print(f"{report}: the same as curves, with pictures")
     return 0
 
 

@@ -22,7 +22,7 @@ from flowrect.depth_error import (
     depth_samples,
     disparity_at,
     left_depth,
-    measured,
+    matched,
     shown_truth,
 )
 from flowrect.drectify import Rectification, rectify
@@ -113,7 +113,7 @@ def test_a_pitch_error_makes_matching_fail():
     for pitch_deg in (0.0, 2.0):
         rect, frame = rectified_by(turned(x=pitch_deg) @ R, t)
         match = load_stereo("sgbm", largest_px=frame.largest_disparity(5.0))
-        [rows[pitch_deg]] = measured(pair, rect, frame, match).by_range((0, 300))
+        [rows[pitch_deg]] = matched(pair, rect, frame, match).samples(pair).by_range((0, 300))
     good, bad = rows[0.0], rows[2.0]
     assert good.coverage > 0.9
     assert good.median_m < 0.15  # at 12 m, where a sixteenth of a pixel is 0.06 m

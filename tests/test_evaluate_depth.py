@@ -10,7 +10,7 @@ import pytest
 from planes import along_x, plane_pair, turned
 from tiny_network import road_set
 
-from flowrect.evaluate_depth import DepthOptions, depth_by, main
+from flowrect.evaluate_depth import DepthOptions, main, matched_by
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.predictions import Origin, Prediction, write
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
@@ -27,7 +27,8 @@ def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter(tmp_pa
     true, wrong = R[0].numpy(), (turned(y=0.4) @ R)[0].numpy()
     rows = []
     for rotation, scale in ((true, 1.0), (true, 7.0), (wrong, 1.0)):
-        [row] = depth_by(rotation, scale * t[0].numpy(), window, options).by_range((0, 300))
+        found = matched_by(rotation, scale * t[0].numpy(), window, options)
+        [row] = found.samples(window).by_range((0, 300))
         rows.append(row)
     assert rows[0].coverage > 0.8
     assert rows[1] == pytest.approx(rows[0])
@@ -68,6 +69,10 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
         assert column["failing"] == column["wild"] == column[UNRECTIFIED]
         assert column["right"] == column[TRUTH]
     assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
+    page = (tmp_path / "results" / "depth.html").read_text(encoding="utf-8")
+    assert page.count("data:image/jpeg") == 2 * 3 * len(of)  # an overlay and depth, of three pairs
+    assert page.count("<svg") == 2
+    assert "failing (3 failed)" in page
 
 
 def test_depth_without_predictions_or_matcher_is_refused(given, tmp_path, capsys):

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from flowrect.depth_error import rectified_images
 from flowrect.drectify import rectify
 from flowrect.evaluation import tables
 from flowrect.evaluation.delivered import Delivered, evenly, prior
+from flowrect.evaluation.drawing import captioned, colours, overlay, short
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
 from flowrect.sample import Image, Pair
-from simgen.charts import SERIES, SIZE, empty, label, legend_above, to_svg
+from simgen.charts import SIZE, empty, label, legend_above, to_svg
 from simgen.geometry import Array
 from simgen.page import page, section, table
 from simgen.shards import write_atomically
 
 NUM_SHOWN = 3
 """pairs that are shown as every method rectifies them"""
-OVERLAY_W = 384
-GUIDES = 8
-"""horizontal lines over an overlay"""
-NAME_LENGTH = 22
-"""of a method in a legend"""
 NOISE_PX = 0.5
 """of a match, for the Cramér–Rao bound"""
 
@@ -89,29 +81,16 @@ def _charts(scores: Sequence[Score], pairs: Delivered) -> str:
     return f'<div class="charts">{"".join(drawn)}</div>'
 
 
-def _short(method: str) -> str:
-    """A name that fits a legend: of a path its end."""
-    return method if len(method) <= NAME_LENGTH else "…" + method[1 - NAME_LENGTH :]
-
-
-def _colours(groups: dict[str, list[Score]]) -> dict[str, str]:
-    """One for each method, no two alike."""
-    if len(groups) <= len(SERIES):
-        return dict(zip(groups, SERIES, strict=False))
-    spread = colormaps["turbo"](np.linspace(0.02, 0.98, len(groups)))
-    return {m: to_hex(color) for m, color in zip(groups, spread, strict=True)}
-
-
 def _geodesic(score: Score) -> float:
     return score.figures["geodesic_deg"]
 
 
 def _cumulative(groups: dict[str, list[Score]]) -> Figure:
     figure, axes = empty(SIZE)
-    for method, color in _colours(groups).items():
+    for method, color in colours(groups).items():
         error = np.sort([_geodesic(s) for s in groups[method]])
         share = 100 * (np.arange(len(error)) + 1) / len(error)
-        axes.step(error, share, where="post", color=color, label=_short(method), linewidth=1.4)
+        axes.step(error, share, where="post", color=color, label=short(method), linewidth=1.4)
     axes.set_xscale("log")
     axes.set_ylim(0, 100)
     label(axes, "geodesic error [°]", "% of pairs")
@@ -122,11 +101,11 @@ def _cumulative(groups: dict[str, list[Score]]) -> Figure:
 def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
     """Errors of methods that count their matches, and what no method can better on average."""
     figure, axes = empty(SIZE)
-    for method, color in _colours(groups).items():
+    for method, color in colours(groups).items():
         known = [s for s in groups[method] if s.num_matches]
         if known:
             num, error = [s.num_matches or 0 for s in known], [_geodesic(s) for s in known]
-            axes.plot(num, error, ".", markersize=3, color=color, label=_short(method), alpha=0.6)
+            axes.plot(num, error, ".", markersize=3, color=color, label=short(method), alpha=0.6)
     pair = pairs[0].input
     counts = np.geomspace(20, 20_000, 50)
     bound = cramer_rao_deg(counts, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
@@ -153,11 +132,11 @@ def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
     key = tables.STRATA[by]
     names = sorted({key(s) for g in groups.values() for s in g if key(s)}) or ["all"]
     figure, axes = empty(SIZE)
-    for method, color in _colours(groups).items():
+    for method, color in colours(groups).items():
         parts = [[_geodesic(s) for s in groups[method] if key(s) in (n, "")]
                  for n in names]  # fmt: skip
         axes.plot(names, [np.median(p) if p else np.nan for p in parts], "o", color=color,
-                  markersize=5, label=_short(method))  # fmt: skip
+                  markersize=5, label=short(method))  # fmt: skip
     axes.set_yscale("log")
     axes.tick_params(axis="x", labelrotation=20)
     label(axes, "", "median geodesic error [°]")
@@ -179,23 +158,9 @@ def _overlays(rows: Rows, pairs: Delivered, translation: str) -> str:
             if t == translation and estimate is not None:
                 shown[method] = estimate.R, T[:3, 3] if translation == "gt" else estimate.t
         for method, pose in shown.items():
-            caption = f"{pair.name}: {method}"
-            cells.append(_figure(overlay(pair, pose), caption))
+            left, right = (pair.left, pair.right) if pose is None else _rectified(pair, *pose)
+            cells.append(captioned([overlay(left, right)], f"{pair.name}: {method}"))
     return f'<div class="sheet">{"".join(cells)}</div>'
-
-
-def overlay(pair: Pair, pose: tuple[Array, Array] | None) -> Image:
-    """Mean (h, w, 3) of both images, rectified by (R, t), with guide lines; None: as they are."""
-    left, right = pair.left, pair.right
-    if pose is not None:
-        left, right = _rectified(pair, *pose)
-    mixed = cv2.addWeighted(left, 0.5, right, 0.5, 0)
-    h, w = mixed.shape[:2]
-    mixed = cv2.resize(mixed, (OVERLAY_W, round(h * OVERLAY_W / w)), interpolation=cv2.INTER_AREA)
-    for k in range(1, GUIDES):
-        y = round(k * len(mixed) / GUIDES)
-        cv2.line(mixed, (0, y), (OVERLAY_W, y), (255, 220, 60), 1)
-    return np.asarray(mixed, dtype=np.uint8)
 
 
 def _rectified(pair: Pair, R: Array, t: Array) -> tuple[Image, Image]:
@@ -204,12 +169,3 @@ def _rectified(pair: Pair, R: Array, t: Array) -> tuple[Image, Image]:
         for x in (R, t, pair.K_left, pair.K_right)
     )
     return rectified_images(pair, rectify(R_given, t_given, K_left, K_right, pair.wh))
-
-
-def _figure(image: Image, caption: str) -> str:
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    text = base64.b64encode(data.tobytes()).decode()
-    return (
-        f'<figure><img src="data:image/jpeg;base64,{text}" alt="{escape(caption)}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )

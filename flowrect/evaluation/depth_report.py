@@ -1,0 +1,112 @@
+"""One self-contained HTML page about depth: error by range (Fig. 4), rectified pairs (Fig. 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from flowrect.depth_error import EDGES_M, MatchedPair, RangeError
+from flowrect.evaluation.drawing import captioned, colours, overlay, short, small
+from flowrect.sample import Image
+from simgen.charts import SIZE, empty, label, legend_above, to_svg
+from simgen.page import page, section, table
+from simgen.paint import depth_colors
+from simgen.shards import write_atomically
+
+SHOWN_M = 3.0, EDGES_M[-1]
+"""ends of the colours of depth"""
+
+Ranges = Mapping[str, Sequence[tuple[RangeError, RangeError]]]
+"""by method: errors of each range, of the method's own answers and of pixels that all answered"""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A pair as one method rectified it."""
+
+    pair: str
+    method: str
+    images: tuple[Image, Image]
+    """left and right laid over each other; depth of the left one"""
+
+    @staticmethod
+    def of(matched: MatchedPair, pair: str, method: str) -> Picture:
+        """Small enough for a page."""
+        depth_m = matched.frame.rectified_depth(matched.disparity).astype(np.float32)
+        drawn = small(depth_colors(depth_m, SHOWN_M))
+        return Picture(pair, method, (overlay(matched.left, matched.right), drawn))
+
+
+def write_depth_report(
+    path: Path, title: str, ranges: Ranges, failed: Mapping[str, int], pictures: Sequence[Picture]
+) -> None:
+    """Writes the page."""
+    charts = {
+        "mean absolute error of pixels that all answered": _by_range(
+            {m: [common.mae_m for _, common in found] for m, found in ranges.items()},
+            "mean |error| [m]",
+            log=True,
+        ),
+        "share of pixels answered": _by_range(
+            {m: [100 * own.coverage for own, _ in found] for m, found in ranges.items()},
+            "% of pixels",
+        ),
+    }
+    drawn = (
+        f"<figure><h3>{escape(name)}</h3>{to_svg(figure, name)}</figure>"
+        for name, figure in charts.items()
+    )
+    sections = [
+        f'<p class="lead">{escape(title)}</p>',
+        section("Error by range", f'<div class="charts">{"".join(drawn)}</div>'),
+        section("In numbers", _table(ranges, failed), "Mean / median of |error| in m of pixels "
+                "that all answered; in brackets, the share of pixels that the method answered."),
+        section("Pairs and their depth", _pictures(pictures), "Left and right image laid over each "
+                "other: what is at one height in both stands on one line. Below, depth: red "
+                f"{SHOWN_M[0]:g} m, blue {SHOWN_M[1]:g} m, grey no answer. Chosen evenly from the "
+                "set, not by hand."),
+    ]  # fmt: skip
+    write_atomically(path, page("Depth of rectified pairs", sections).encode())
+
+
+def _by_range(values: Mapping[str, Sequence[float]], unit: str, *, log: bool = False) -> Figure:
+    """Values of each method over the ranges of true depth."""
+    figure, axes = empty(SIZE)
+    names = [f"{a:g}–{b:g}" for a, b in pairwise(EDGES_M)]
+    for method, color in colours(values).items():
+        axes.plot(names, values[method], "o-", markersize=3, linewidth=1.2, color=color,
+                  label=short(method))  # fmt: skip
+    if log:
+        axes.set_yscale("log")
+    label(axes, "true depth [m]", unit)
+    legend_above(axes, 3)
+    return figure
+
+
+def _table(ranges: Ranges, failed: Mapping[str, int]) -> str:
+    head = ["method", *(f"{a:g}–{b:g} m" for a, b in pairwise(EDGES_M)), "mean of means"]
+    rows = [[c.replace("\n", " (") + ")" * ("\n" in c) for c in row]
+            for row in depth_rows(ranges, failed)]  # fmt: skip
+    return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
+
+
+def depth_rows(ranges: Ranges, failed: Mapping[str, int]) -> Iterator[list[str]]:
+    """The cells of each method: MAE / median [m] of common pixels, and own coverage, by range."""
+    for method, found in ranges.items():
+        known = [c.mae_m for _, c in found if np.isfinite(c.mae_m)]
+        yield [
+            method + (f" ({failed[method]} failed)" if failed[method] else ""),
+            *(f"{c.mae_m:.2f} / {c.median_m:.2f}\n{own.coverage:.0%}" for own, c in found),
+            f"{np.mean(known):.2f}" if known else "–",
+        ]
+
+
+def _pictures(pictures: Sequence[Picture]) -> str:
+    cells = (captioned(p.images, f"{p.pair}: {p.method}") for p in pictures)
+    return f'<div class="sheet">{"".join(cells)}</div>'

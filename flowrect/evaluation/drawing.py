@@ -1,0 +1,64 @@
+"""What the pages about an evaluation draw alike: colours of methods, pictures of pairs."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Collection, Sequence
+from html import escape
+
+import cv2
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+
+from flowrect.sample import Image
+from simgen.charts import SERIES
+
+PICTURE_W = 384
+GUIDES = 8
+"""horizontal lines over an overlay"""
+NAME_LENGTH = 22
+"""of a method in a legend"""
+
+
+def short(method: str) -> str:
+    """A name that fits a legend: of a path its end."""
+    return method if len(method) <= NAME_LENGTH else "…" + method[1 - NAME_LENGTH :]
+
+
+def colours(methods: Collection[str]) -> dict[str, str]:
+    """One for each method, no two alike."""
+    if len(methods) <= len(SERIES):
+        return dict(zip(methods, SERIES, strict=False))
+    spread = colormaps["turbo"](np.linspace(0.02, 0.98, len(methods)))
+    return {m: to_hex(color) for m, color in zip(methods, spread, strict=True)}
+
+
+def small(image: Image) -> Image:
+    """The image at the width of a page's pictures."""
+    h, w = image.shape[:2]
+    wh = PICTURE_W, round(h * PICTURE_W / w)
+    return np.asarray(cv2.resize(image, wh, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def overlay(left: Image, right: Image) -> Image:
+    """Mean of both images, small, with guide lines."""
+    mixed = small(np.asarray(cv2.addWeighted(left, 0.5, right, 0.5, 0)))
+    for k in range(1, GUIDES):
+        y = round(k * len(mixed) / GUIDES)
+        cv2.line(mixed, (0, y), (PICTURE_W, y), (255, 220, 60), 1)
+    return mixed
+
+
+def captioned(images: Sequence[Image], caption: str) -> str:
+    """HTML of images (h, w, 3) below each other, which it contains."""
+    pictures = "".join(
+        f'<img src="data:image/jpeg;base64,{_jpeg(image)}" alt="{escape(caption)}">'
+        for image in images
+    )
+    return f"<figure>{pictures}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _jpeg(image: Image) -> str:
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    return base64.b64encode(data.tobytes()).decode()
