@@ -32,7 +32,7 @@ from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
 from flowrect.matchers import load_matcher
-from flowrect.methods import METHODS
+from flowrect.methods import METHODS, training_of
 from simgen.errors import UserError
 
 
@@ -83,8 +83,10 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
     rows = predictions_of(options.out, delivery.open().fingerprint)
     scores = _scored(delivery.open(truth_points=None), rows, options, console)
-    _write(options, scores, unavailable)
-    write_report(options.out / "report.html", scores, rows, delivery.open(), unavailable)
+    trained = {m: training_of(m) for m in options.methods if m not in unavailable}
+    _write(options, scores, unavailable, trained)
+    report_path = options.out / "report.html"
+    write_report(report_path, scores, rows, delivery.open(), unavailable, trained)
     return scores
 
 
@@ -102,12 +104,17 @@ def _scored(
     return scores
 
 
-def _write(options: EvaluateOptions, scores: Sequence[Score], unavailable: dict[str, str]) -> None:
+def _write(
+    options: EvaluateOptions,
+    scores: Sequence[Score],
+    unavailable: dict[str, str],
+    trained: dict[str, str],
+) -> None:
     out = options.out
     tables.write_scores(out / "scores.csv", scores)
     tables.write_summary(out / "summary.csv", scores)
     title = f"Rectification at {options.size}"
-    text = tables.document(scores, unavailable, title, options.translations)
+    text = tables.document(scores, unavailable, trained, title, options.translations)
     (out / "tables.md").write_text(text, encoding="utf-8")
 
 

@@ -45,6 +45,8 @@ class Seen:
     """largest |angle| between prior and truth about x, y, z"""
     keep: float
     """share of the window's sides that was kept"""
+    hours: float
+    """that training took, with validations, in all its runs"""
 
 
 class Task(Protocol):
@@ -91,7 +93,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     network, optimiser = accelerator.prepare(
         model, torch.optim.Adam(model.parameters(), lr=options.lr)
     )
-    run = Run(options, accelerator, task, optimiser, loader, pairs.fingerprint)
+    run = Run(options, accelerator, task, optimiser, loader, pairs.fingerprint, started)
     run.resume()
     epoch_steps = max(1, len(loader) // options.accumulate)
     last_step = options.max_steps or options.epochs * epoch_steps
@@ -148,6 +150,8 @@ class Run:
     loader: PairLoader
     fingerprint: str
     """of the pairs"""
+    started: float
+    """time.monotonic() [s]"""
     step: int = 0
     """optimiser steps done"""
     best: float = float("inf")
@@ -156,6 +160,8 @@ class Run:
     """of the last validation; main process only"""
     prior_range_deg: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
     """(3,) largest |angle| between prior and truth per axis, of this process's pairs"""
+    hours_before: float = 0.0
+    """of the runs that this one goes on from"""
 
     def note_prior_range(self, batch: Batch) -> None:
         """Widens the range by the priors of a batch."""
@@ -189,6 +195,7 @@ class Run:
             self.accelerator.scaler.load_state_dict(state["scaler"])
         self.step, self.best, self.scores = state["step"], state["best"], state["scores"]
         self.prior_range_deg = state["prior_range_deg"]
+        self.hours_before = state["hours"]
         checkpoint.restore_random_state(state["random"])
 
     def _state(self) -> dict[str, Any]:
@@ -204,12 +211,18 @@ class Run:
             "best": self.best,
             "scores": self.scores,
             "prior_range_deg": self.prior_range_deg,
+            "hours": self.hours,
             "random": checkpoint.random_state(),
         }
 
     def _seen(self) -> Seen:
         o, (x, y, z) = self.options, self.prior_range_deg.tolist()
-        return Seen(self.step * o.accumulate * o.loading.batch, (x, y, z), o.keep)
+        return Seen(self.step * o.accumulate * o.loading.batch, (x, y, z), o.keep, self.hours)
+
+    @property
+    def hours(self) -> float:
+        """Of training so far."""
+        return self.hours_before + (time.monotonic() - self.started) / 3600
 
 
 # --- before the loop ---------------------------------------------------------------------------

@@ -183,3 +183,13 @@ def load_method(name: str) -> Method:
     if name not in METHODS:
         raise UserError(f"method {name!r}: expected one of {', '.join(METHODS)}, or network=FILE.")
     return METHODS[name]()
+
+
+def training_of(name: str) -> str:
+    """Input size and hours of the network that a method asks, "–" where there is none."""
+    method = load_method(name)
+    network = method.start if isinstance(method, FromMatches) else method
+    if not isinstance(network, Network):
+        return "–"
+    (w, h), hours = network.model.network.config.input_wh, network.model.card.hours
+    return f"{w}×{h}" + (f", {hours:.1f} h" if hours else "")

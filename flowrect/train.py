@@ -133,7 +133,7 @@ class RectifierTask:
                 "none. Take one of them."
             )
         self.options = options
-        self.model, self._samples_before = initial_model(options)
+        self.model, self._before = initial_model(options)
         self.input_wh = options.model.input_wh
         self._teacher = load_flow(options.flow_weights) if options.teacher == "raft" else None
 
@@ -159,7 +159,7 @@ class RectifierTask:
 
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
-        save_weights(path, self.model, make_card(self.options, seen, self._samples_before))
+        save_weights(path, self.model, make_card(self.options, seen, self._before))
 
 
 class RivalTask:
@@ -169,7 +169,7 @@ class RivalTask:
 
     def __init__(self, options: RivalOptions) -> None:
         self.options = options
-        self.model, self._samples_before = initial_model(options)
+        self.model, self._before = initial_model(options)
         self.input_wh = options.model.input_wh
 
     def require(self, batch: Batch) -> None:
@@ -190,7 +190,7 @@ class RivalTask:
 
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
-        save_weights(path, self.model, make_card(self.options, seen, self._samples_before))
+        save_weights(path, self.model, make_card(self.options, seen, self._before))
 
 
 def require_pose(batch: Batch, options: PoseOptions) -> None:
@@ -202,13 +202,14 @@ def require_pose(batch: Batch, options: PoseOptions) -> None:
         )
 
 
-def make_card(options: AnyOptions, seen: loop.Seen, samples_before: int) -> Card:
-    """What is known of the weights now."""
+def make_card(options: AnyOptions, seen: loop.Seen, before: Card | None) -> Card:
+    """What is known of the weights now; ``before`` is the card of what training began with."""
     presets = {**MODELS, **RIVALS}
     return Card(
         preset=next((n for n, model in presets.items() if model == options.model), "custom"),
         prior_range_deg=seen.prior_range_deg,
-        samples=samples_before + seen.samples,
+        samples=seen.samples + (before.samples if before else 0),
+        hours=round(seen.hours + (before.hours if before else 0.0), 2),
         data=str(options.data.name),
         translation=options.translation,
         fit=options.fit,
@@ -216,12 +217,12 @@ def make_card(options: AnyOptions, seen: loop.Seen, samples_before: int) -> Card
     )
 
 
-def initial_model(options: AnyOptions) -> tuple[Any, int]:
-    """A fresh network, or the one of ``--init``, and how many pairs it has seen."""
+def initial_model(options: AnyOptions) -> tuple[Any, Card | None]:
+    """A fresh network, or the one of ``--init`` and its card."""
     if not options.init:
-        return untrained(options.model), 0
+        return untrained(options.model), None
     network, card = load_weights(find_weights(options.init), expected=options.model)
-    return network.train(), card.samples
+    return network.train(), card
 
 
 def as_initial(options: AnyOptions) -> AnyOptions:

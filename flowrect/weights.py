@@ -50,6 +50,8 @@ class Card:
     """largest |R_gt R_priorᵀ| about x, y, z seen in training"""
     samples: int = 0
     """pairs seen in training"""
+    hours: float = 0.0
+    """that this took; 0: nobody noted them"""
     data: str = ""
     """what they were trained on"""
     translation: str = ""

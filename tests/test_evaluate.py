@@ -140,7 +140,7 @@ def test_a_failure_is_scored_with_the_prior_and_counted(data):
     assert by_name["m"].failure == "found nothing"
     failed, left_over = (by_name[m].figures["geodesic_deg"] for m in ("m", "unrectified"))
     assert failed == left_over
-    cells = main_table(of_pair, "gt", {}).splitlines()[3].split("|")
+    cells = main_table(of_pair, "gt", {}, {}).splitlines()[3].split("|")
     assert [cells[1].strip(), cells[-3].strip(), cells[-2].strip()] == ["m", "1", "0"]
 
 
@@ -230,7 +230,7 @@ def test_a_wild_pose_is_a_failure_and_betters_no_mean(data):
 
 
 def test_the_command_writes_tables_of_every_method(data, tmp_path, capsys):
-    save_weights(tmp_path / "w.safetensors", network(TINY_PAPER), Card(preset="custom"))
+    save_weights(tmp_path / "w.safetensors", network(TINY_PAPER), Card(preset="custom", hours=1.5))
     out, name = tmp_path / "results", f"network={tmp_path / 'w.safetensors'}"
     arguments = ["--data", str(data), "--methods", name, "--size", "96x48", "--limit", "2",
                  "--split", "all", "--matched-pairs", "0", "--out", str(out)]  # fmt: skip
@@ -244,13 +244,16 @@ def test_the_command_writes_tables_of_every_method(data, tmp_path, capsys):
         assert float(a["geodesic_deg"]) == pytest.approx(float(b["geodesic_deg"]), abs=1e-5)
     text = (out / "tables.md").read_text()
     assert "t = gt" in text
+    (w, h) = TINY_PAPER.input_wh
+    assert f"| {name} | {w}×{h}, 1.5 h |" in text
+    assert "| truth | – |" in text
     assert "by weather" in text
     assert "geodesic_deg" in (out / "summary.csv").read_text()
     assert "written:" in capsys.readouterr().out
 
 
 def test_a_method_without_weights_stays_in_the_table(scores):
-    text = document(scores, {"superglue+5dof": "put them in models/"}, "", ("nominal",))
+    text = document(scores, {"superglue+5dof": "put them in models/"}, {}, "", ("nominal",))
     assert "| superglue+5dof | no weights: put them in models/ |" in text
 
 

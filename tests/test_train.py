@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -190,6 +192,20 @@ def test_weights_know_what_priors_they_were_trained_for(data, tmp_path):
     card = load_weights(tmp_path / "best.safetensors")[1]
     assert all(0.1 < limit < 2.1 for limit in card.prior_range_deg)
     assert (card.preset, card.samples, card.translation) == ("custom", 6, "gt")
+
+
+def test_weights_know_the_hours_of_all_their_runs(data, tmp_path, monkeypatch):
+    """By a clock that goes on by half an hour whenever it is read."""
+    ticks = count(0, 1800)
+    monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
+    hours = []
+    for _ in range(2):  # each stops after one step
+        train.train(training(data, tmp_path / "first", max_steps=3, minutes=1))
+        hours.append(load_weights(tmp_path / "first" / "last.safetensors")[1].hours)
+    assert 0.5 <= hours[0] < hours[1]
+    given = str(tmp_path / "first" / "last.safetensors")
+    train.train(training(data, tmp_path / "second", init=given, max_steps=1))
+    assert load_weights(tmp_path / "second" / "last.safetensors")[1].hours > hours[1]
 
 
 def test_training_starts_from_given_weights(data, tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -29,14 +29,21 @@ NOISE_PX = 0.5
 
 
 def write_report(
-    path: Path, scores: Sequence[Score], rows: Rows, pairs: Delivered, unavailable: dict[str, str]
+    path: Path,
+    scores: Sequence[Score],
+    rows: Rows,
+    pairs: Delivered,
+    unavailable: dict[str, str],
+    trained: Mapping[str, str],
 ) -> None:
     """Writes the page."""
     translations = list(dict.fromkeys(s.translation for s in scores))
     sections = [_lead(scores)]
     for translation in translations:
         of = [s for s in scores if s.translation == translation]
-        sections.append(section(f"t = {translation}", _table(of, unavailable) + _charts(of, pairs)))
+        sections.append(
+            section(f"t = {translation}", _table(of, unavailable, trained) + _charts(of, pairs))
+        )
     last = translations[-1]
     sections.append(section(
         "Pairs as the methods rectify them", _overlays(rows, pairs, last),
@@ -54,12 +61,13 @@ def _lead(scores: Sequence[Score]) -> str:
     )
 
 
-def _table(scores: Sequence[Score], unavailable: dict[str, str]) -> str:
+def _table(scores: Sequence[Score], unavailable: dict[str, str], trained: Mapping[str, str]) -> str:
     cells = tables.columns(tables.figure_names(scores))
     groups = tables.grouped(scores)
-    rows = [[m, *(cell(g) for cell in cells.values())] for (m, _), g in groups.items()]
+    rows = [[m, trained.get(m, "–"), *(cell(g) for cell in cells.values())]
+            for (m, _), g in groups.items()]  # fmt: skip
     rows += [[m, f"no weights: {why}"] for m, why in unavailable.items()]
-    head = ["method", *(c.replace("\\", "") for c in cells)]
+    head = ["method", "trained", *(c.replace("\\", "") for c in cells)]
     return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
 
 

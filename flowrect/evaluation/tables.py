@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -160,14 +160,20 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def main_table(scores: Sequence[Score], translation: str, unavailable: dict[str, str]) -> str:
+def main_table(
+    scores: Sequence[Score],
+    translation: str,
+    unavailable: dict[str, str],
+    trained: Mapping[str, str],
+) -> str:
     """All methods of one translation; those that could not run say why."""
     cells = columns(figure_names(scores))
     groups = {m: g for (m, t), g in grouped(scores).items() if t == translation}
-    rows = [[m, *(cell(g) for cell in cells.values())] for m, g in groups.items()]
-    rows += [[m, "no weights: " + why.replace("|", "/"), *[""] * (len(cells) - 1)]
+    rows = [[m, trained.get(m, "–"), *(cell(g) for cell in cells.values())]
+            for m, g in groups.items()]  # fmt: skip
+    rows += [[m, "no weights: " + why.replace("|", "/"), *[""] * len(cells)]
              for m, why in unavailable.items()]  # fmt: skip
-    return markdown(["method", *cells], rows)
+    return markdown(["method", "trained", *cells], rows)
 
 
 STRATA: dict[str, Callable[[Score], str]] = {
@@ -195,7 +201,11 @@ def stratum_table(scores: Sequence[Score], translation: str, by: str) -> str:
 
 
 def document(
-    scores: Sequence[Score], unavailable: dict[str, str], title: str, translations: Sequence[str]
+    scores: Sequence[Score],
+    unavailable: dict[str, str],
+    trained: Mapping[str, str],
+    title: str,
+    translations: Sequence[str],
 ) -> str:
     """The whole of tables.md."""
     pairs, scenes = len({s.index for s in scores}), len({s.scene for s in scores})
@@ -205,13 +215,17 @@ def document(
         "pair for which a method failed is scored with the prior, and counted under failures; "
         "under noted those that the method itself doubts, or where matches did not suffice to "
         "refine what a network said. "
-        "Figures in pixels are of 512x256 images.\n",
+        "Figures in pixels are of 512x256 images. Networks see the pair at the size they were "
+        "trained at; the hours are those of their training, where they are known.\n",
     ]
     for translation in translations:
         what = (
             "the true t for all" if translation == "gt" else "each method's own t, or the nominal"
         )
-        parts += [f"## t = {translation} ({what})\n", main_table(scores, translation, unavailable)]
+        parts += [
+            f"## t = {translation} ({what})\n",
+            main_table(scores, translation, unavailable, trained),
+        ]
         for by in STRATA:
             parts += [
                 f"### by {by}: median vertical flow [px] / median geodesic error [°] (failures)\n",
