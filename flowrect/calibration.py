@@ -39,6 +39,14 @@ class Calibration:
     lens: Lens = "polynomial"
     """what dist means: k1, k2, p1, p2[, k3, …] of OpenCV, or k1 … k4 of cv2.fisheye"""
 
+    def __post_init__(self) -> None:
+        t = self.T_right_left[:3, 3]
+        if not (np.isfinite(t).all() and t.any()):
+            raise UserError(
+                f"the calibration's baseline T is {t.tolist()}; expected the vector from camera to "
+                "camera, which is not 0."
+            )
+
     def require_size(self, wh: tuple[int, int], where: str) -> None:
         """UserError unless images have the calibrated size."""
         if wh != self.wh:

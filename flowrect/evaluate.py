@@ -13,7 +13,7 @@ by weather and daylight, ``report.html`` pictures of all of it.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +32,7 @@ from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
 from flowrect.matchers import load_matcher
+from flowrect.matches import Matcher
 from flowrect.methods import METHODS, training_of
 from simgen.errors import UserError
 
@@ -72,9 +73,17 @@ class EvaluateOptions:
 
 def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     """Predicts what is missing, scores everything, and writes the files."""
-    _require_known(options.methods)
+    _require_sensible(options)
+    matchers = _offset_matchers(options.offsets)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"{options.out}: cannot be made ({error.strerror}). Choose another --out."
+        ) from error
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
+    predictions_of(options.out, delivery.open().fingerprint)  # raises now if some are stale
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
     with _Progress(console, "predicting") as report:
@@ -82,7 +91,7 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     for method, reason in unavailable.items():
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
     rows = predictions_of(options.out, delivery.open().fingerprint)
-    scores = _scored(delivery.open(truth_points=None), rows, options, console)
+    scores = _scored(delivery.open(truth_points=None), rows, matchers, options, console)
     trained = {m: training_of(m) for m in options.methods if m not in unavailable}
     _write(options, scores, unavailable, trained)
     report_path = options.out / "report.html"
@@ -91,9 +100,12 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
 
 
 def _scored(
-    pairs: Delivered, rows: Rows, options: EvaluateOptions, console: Console
+    pairs: Delivered,
+    rows: Rows,
+    matchers: Mapping[str, Matcher],
+    options: EvaluateOptions,
+    console: Console,
 ) -> list[Score]:
-    matchers = {name.removesuffix("-paper"): load_matcher(name) for name in options.offsets}
     matched = evenly(options.matched_pairs, len(pairs))
     scores: list[Score] = []
     with _Progress(console, "scoring") as report:
@@ -116,6 +128,28 @@ def _write(
     title = f"Rectification at {options.size}"
     text = tables.document(scores, unavailable, trained, title, options.translations)
     (out / "tables.md").write_text(text, encoding="utf-8")
+
+
+def _offset_matchers(names: Sequence[str]) -> dict[str, Matcher]:
+    """The matchers that measure what is left, by the names of their columns."""
+    matchers = {name.removesuffix("-paper"): load_matcher(name) for name in names}
+    if len(matchers) < len(names):
+        raise UserError(
+            f"--offsets {' '.join(names)}: settings of one matcher share a column; ask for one."
+        )
+    return matchers
+
+
+def _require_sensible(options: EvaluateOptions) -> None:
+    for name, value, least in (
+        ("--limit", options.limit, 0),
+        ("--matched-pairs", options.matched_pairs, 0),
+        ("--jobs", options.jobs, 1),
+        ("--time-limit-s", options.time_limit_s, 1),
+    ):
+        if value < least:
+            raise UserError(f"{name} {value:g}: expected at least {least}.")
+    _require_known(options.methods)
 
 
 def _require_known(methods: Sequence[str]) -> None:

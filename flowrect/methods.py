@@ -155,12 +155,17 @@ class FromMatches:
 _load_model = cache(load_model)
 
 
-def _with_network(name: str) -> Method:
-    """``network[=WEIGHTS][+SOLVER]``; without WEIGHTS the shipped ones."""
+def network_of(name: str) -> tuple[str, str]:
+    """Weights and solver ("": none) of ``network[=WEIGHTS][+SOLVER]``; a path may have a +."""
     head, _, tail = name.rpartition("+")
     solver = tail if head and tail in SOLVERS else ""
     network = head if solver else name
-    start = Network(_load_model(network.partition("=")[2] or "small"))
+    return network.partition("=")[2] or "small", solver
+
+
+def _with_network(name: str) -> Method:
+    weights, solver = network_of(name)
+    start = Network(_load_model(weights))
     return FromMatches(REFINED_BY, SOLVERS[solver], start) if solver else start
 
 

@@ -38,6 +38,8 @@ from simgen.errors import UserError
 from simgen.geometry import Array, vector_from_rotation
 
 ANGLES = ("pitch_deg", "yaw_deg", "roll_deg")
+QUALITY = "quality.json"
+"""the file that a result is known by"""
 SUMMARY = ("name", *ANGLES, "num_matches", "num_inliers", "num_sift_matches", "before_px",
            "after_px", "notes")  # fmt: skip
 """columns of summary.csv"""
@@ -217,7 +219,7 @@ def write_result(folder: Path, result: Rectified) -> list[str]:
     if not reason:
         kalibr.write(folder / "camchain.yaml", rig)
     text = json.dumps(asdict(result.quality), indent=2)  # the last file: what has it is complete
-    (folder / "quality.json").write_text(text + "\n", encoding="utf-8")
+    (folder / QUALITY).write_text(text + "\n", encoding="utf-8")
     return [f"no camchain.yaml: {reason}"] if reason else []
 
 
@@ -253,6 +255,13 @@ def pairs_to_do(pairs: Sequence[PairFiles], options: RectifyOptions) -> list[Pai
             f"{options.out}: holds results of {len(done)} of {len(pairs)} pairs, first "
             f"{done[0].name}. Choose another --out, or say --existing keep or --existing replace."
         )
+    for pair in done:
+        folder = options.out / pair.name
+        if options.existing == "replace" and not (folder / QUALITY).is_file():
+            raise UserError(
+                f"{folder}: holds no {QUALITY}, so it is not a result that could be replaced. "
+                "Choose another --out, or put it elsewhere."
+            )
     return [pair for pair in pairs if options.existing == "replace" or pair not in done]
 
 
@@ -273,7 +282,10 @@ def complete_or_absent(folder: Path) -> Iterator[Path]:
 
 def write_summary(out: Path) -> None:
     """summary.csv from all results in the folder."""
-    results = [read_json(path) for path in sorted(out.glob("*/quality.json"))]
+    results = [read_json(path) for path in sorted(out.glob(f"*/{QUALITY}"))]
+    results = [
+        x for x in results if isinstance(x, dict) and {"correction_deg", "notes"} <= x.keys()
+    ]
     with (out / "summary.csv").open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(SUMMARY)
@@ -295,7 +307,12 @@ def run(options: RectifyOptions, console: Console) -> int:
     h, w = read_rgb(pairs[0].left).shape[:2]
     rig = read_calibration(options.calib, (w, h))
     method = load_method(_with_weights(options))
-    options.out.mkdir(parents=True, exist_ok=True)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"{options.out}: cannot be made ({error.strerror}). Choose another --out."
+        ) from error
     failed = 0
     try:
         for pair in track(todo, "rectifying", console=console, disable=len(todo) < 2):
@@ -303,7 +320,7 @@ def run(options: RectifyOptions, console: Console) -> int:
                 result = rectify_pair(method, options.method, rig, pair)
                 with complete_or_absent(options.out / pair.name) as folder:
                     lacks = write_result(folder, result)
-            except UserError as error:
+            except (UserError, ValueError, ArithmeticError, cv2.error) as error:
                 failed += 1
                 console.print(f"[red]{pair.name} failed:[/red] {error}", soft_wrap=True)
                 continue

@@ -167,6 +167,24 @@ def _copied(element: Element) -> Element:
     return copy
 
 
+SHORTEST_M = 1e-3
+"""of what some tools write as a piece of a road, and roadgen refuses"""
+
+
+def _drop_empty_pieces(road: Element) -> None:
+    """Takes out geometries and lane sections that have no length."""
+    for plan in road.findall("planView"):
+        pieces = [g for g in plan if float(g.get("length", "0")) >= SHORTEST_M]
+        plan[:] = pieces or list(plan)
+        end = float(plan[-1].attrib["s"]) + float(plan[-1].attrib["length"])
+        for lanes in road.findall("lanes"):
+            sections = lanes.findall("laneSection")
+            starts = [float(x.get("s", "0")) for x in sections]
+            for section, start, stop in zip(sections, starts, [*starts[1:], end], strict=True):
+                if stop - start < SHORTEST_M and len(sections) > 1:
+                    lanes.remove(section)
+
+
 _WRITTEN_TYPE: dict[str | None, str] = {None: "none", "median": "shoulder"}
 
 
@@ -177,6 +195,7 @@ def _mend(root: Element, origin: Array) -> None:
         for axis, shift in zip("xy", origin, strict=False):
             g.set(axis, repr(float(g.attrib[axis]) - float(shift)))
     for road in root.iter("road"):
+        _drop_empty_pieces(road)
         *_, last = road.iterfind("planView/geometry")
         road.set("length", repr(float(last.attrib["s"]) + float(last.attrib["length"])))
     for lane in root.iter("lane"):

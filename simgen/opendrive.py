@@ -301,17 +301,20 @@ def _things(element: Element) -> Iterator[Thing]:
             turn = _number(e, "hdg" if tag == "object" else "hOffset", 0.0)
             yield Thing(
                 tag, e.get("type", ""), e.get("value", ""), _number(e, "s"), _number(e, "t"),
-                against + turn, _outline(e) if tag == "object" else (),
+                against + turn, _outline(e, turn) if tag == "object" else (),
             )  # fmt: skip
 
 
-def _outline(element: Element) -> tuple[tuple[float, float], ...]:
+def _outline(element: Element, turn: float) -> tuple[tuple[float, float], ...]:
+    """Corners in the axes of an object that is turned against the road."""
     corners = element.findall(".//outline/cornerLocal")
     if corners:
         return tuple((_number(c, "u"), _number(c, "v")) for c in corners)
     corners = element.findall(".//outline/cornerRoad")
     if corners:
         s, t = _number(element, "s"), _number(element, "t")
-        return tuple((_number(c, "s") - s, _number(c, "t") - t) for c in corners)
+        along = [(_number(c, "s") - s, _number(c, "t") - t) for c in corners]
+        cos, sin = float(np.cos(turn)), float(np.sin(turn))
+        return tuple((cos * u + sin * v, cos * v - sin * u) for u, v in along)
     u, v = _number(element, "length", 0.0) / 2, _number(element, "width", 0.0) / 2
     return ((u, v), (-u, v), (-u, -v), (u, -v)) if u * v > 0 else ()

@@ -74,7 +74,9 @@ def render(options: RenderOptions) -> int:
     missing = len(set_plan.frames) - _num_done(options.out)
     run.check_disk(options.out, missing * estimate.bytes_per_frame, force=options.force)
     with folder.locked():
-        manifest = folder.open_manifest(job.content(), options.frames_per_shard, options.n)
+        manifest = folder.open_manifest(
+            job.content(), options.frames_per_shard, options.n, options.split
+        )
         given_map.keep(job.opendrive, options.out)
         threads = max(1, (os.cpu_count() or 1) // options.workers)
         pool = run.Pool(_render_one(), _start_worker(), (chosen, threads, job.wh),

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from simgen import alignment, given_map, opendrive
 from simgen.buildings import Massing
-from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.recipe import RoadSpec, SceneSpec
 
@@ -484,7 +483,8 @@ def _parsed(text: str) -> Any:
             return roadgen.read_opendrive(str(path), sampling=alignment.STEP_M)
         except ValueError as error:
             reason = str(error).splitlines()[0]
-            raise UserError(f"no surfaces can be made of its roads: {reason}.") from error
+            # Of this part of a map, maybe not of another: the frame is drawn again elsewhere.
+            raise RuntimeError(f"no surfaces can be made of the map's roads: {reason}") from error
 
 
 def _given_lane(strip: alignment.Strip) -> Lane:

@@ -101,6 +101,9 @@ class SetPlan:
         return sorted(i for shard in self.shards for i in shard.frames)
 
 
+SIDES = ("train", "test")
+
+
 def split_of(scene_index: int) -> str:
     """The side of the split that a scene is on, for ever."""
     return "test" if scene_index % TEST_EVERY == 0 else "train"
@@ -117,7 +120,7 @@ def plan(
     """Lays a set out; ``num_pairs`` is rounded up to whole rig frames."""
     num_frames = -(-num_pairs // pairs_per_frame)
     shards = []
-    for side in ("train", "test"):
+    for side in SIDES:
         frames = [i for i in range(num_frames) if split_of(i // frames_per_scene) == side]
         if split in ("all", side):
             for k in range(0, len(frames), frames_per_shard):
@@ -148,10 +151,15 @@ class SetFolder:
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
+            except BlockingIOError as error:
                 raise UserError(
                     f"{self.path}: another simgen is rendering into this folder. Wait for it, stop "
                     "it, or choose another --out."
+                ) from error
+            except OSError as error:
+                raise UserError(
+                    f"{self.path}: cannot be locked ({error.strerror}), so two runs could write "
+                    "here at once: a file system without locks? Choose --out on another one."
                 ) from error
             yield
 
@@ -179,14 +187,18 @@ class SetFolder:
                 "folder with --out."
             )
 
-    def open_manifest(self, config: dict[str, Any], frames_per_shard: int, n: int) -> Manifest:
+    def open_manifest(
+        self, config: dict[str, Any], frames_per_shard: int, n: int, split: str = "all"
+    ) -> Manifest:
         """The manifest to go on with; UserError if the folder was made with other options."""
+        asked = {side: n for side in SIDES if split in ("all", side)}
         if not (self.path / MANIFEST).exists():
             for path in (self.path / FRAMES_DIR).glob("*.h5"):
                 path.unlink()  # without a manifest, nobody knows how they were made
             fresh = Manifest(
-                SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n
-            )
+                SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n,
+                pairs_asked=asked,
+            )  # fmt: skip
             fresh.save(self.path)
             return fresh
         found = Manifest.load(self.path)
@@ -198,7 +210,10 @@ class SetFolder:
                 f"{self.path}: was rendered with other options: {'; '.join(differences)}. Ask for "
                 "the same, or choose another folder with --out."
             )
-        return replace(found, num_pairs_asked=max(n, found.num_pairs_asked))
+        for side, num in found.pairs_asked.items():
+            asked[side] = max(num, asked.get(side, 0))
+        most = max(n, found.num_pairs_asked)
+        return replace(found, num_pairs_asked=most, pairs_asked=asked)
 
     def clean(self, done: set[int]) -> None:
         """Removes half-written files, and frames that are already in a shard."""

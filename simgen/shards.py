@@ -57,11 +57,14 @@ class Manifest:
     config: dict[str, Any]
     frames_per_shard: int
     num_pairs_asked: int
+    """of whichever side of the split more was asked for"""
     shards: list[ShardEntry] = field(default_factory=list)
     redrawn: list[dict[str, Any]] = field(default_factory=list)
     """frames that failed a check and were drawn again: frame, attempt, reasons"""
     failures: list[dict[str, Any]] = field(default_factory=list)
     """frames that failed three times: frame, seed, reasons"""
+    pairs_asked: dict[str, int] = field(default_factory=dict)
+    """of each side of the split; empty in sets of older versions"""
 
     def save(self, folder: Path) -> None:
         """Writes manifest.json atomically."""

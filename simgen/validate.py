@@ -98,8 +98,11 @@ def validate_folder(
     return Report(tuple(read.findings))
 
 
-def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], int]:
-    """The shards, the frames that failed for good, and how many were asked for, of both sides."""
+def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], dict[str, int]]:
+    """The shards, the frames that failed for good, and how many were asked for of each side.
+
+    Frames are counted over both sides: of 30, the test side has those of every tenth scene.
+    """
     if not path.is_file():
         raise UserError(
             f"{path}: no manifest here, so this is no finished set. Name the folder that "
@@ -114,8 +117,10 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], int]:
         ]
         failed_frames = {int(failure["frame_index"]) for failure in manifest["failures"]}
         num_pairs = len(manifest["config"]["rig"]["pairs"])
-        num_asked = -(-int(manifest["num_pairs_asked"]) // num_pairs)
-    except (ValueError, KeyError, TypeError) as error:
+        of_both = dict.fromkeys(("train", "test"), int(manifest["num_pairs_asked"]))
+        asked = manifest.get("pairs_asked") or of_both
+        num_asked = {side: -(-int(num) // num_pairs) for side, num in asked.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(
             f"{path}: not a manifest of simgen ({type(error).__name__}: {error}). Restore the "
             "file, or render the set again into an empty folder."
@@ -235,7 +240,7 @@ def _facts(arrays: Mapping[str, Any], split: str) -> _Facts:
 
 
 def _check_frames(
-    entries: Sequence[_Entry], read: _Set, failed_frames: set[int], num_asked: int
+    entries: Sequence[_Entry], read: _Set, failed_frames: set[int], num_asked: Mapping[str, int]
 ) -> Finding:
     """Every index once, none left out but recorded failures and the side that is not there.
 
@@ -243,12 +248,13 @@ def _check_frames(
     """
     listed = [i for e in entries for i in e.frames]
     found = [f.frame for f in read.facts]
-    splits = {e.split for e in entries}
     expected = {
         i
-        for i in range(max(num_asked, 1 + max(listed, default=-1)))
-        if _split_of(i // read.frames_per_scene) in splits
-    }
+        for side in {e.split for e in entries}
+        for i in range(max([num_asked.get(side, 0), *(1 + i for e in entries for i in e.frames
+                                                      if e.split == side)]))
+        if _split_of(i // read.frames_per_scene) == side
+    }  # fmt: skip
     faults = {
         "missing": expected - set(listed) - failed_frames,
         "twice": {i for i, n in Counter(listed).items() if n > 1},

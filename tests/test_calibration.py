@@ -235,6 +235,12 @@ CAM = {"camera_model": "pinhole", "intrinsics": [200, 200, 160, 90], "resolution
         (["%YAML:1.0\n---\nK_left: [1]\n"], r"no entry K_right, R, T; found K_left"),
         (["%YAML:1.0\n---\nK_left: [1"], r"not a file of cv2\.FileStorage"),
         (["K_left: [1]"], r"no entry K_right, R, T; found K_left"),
+        (["%YAML:1.0\n---\nK_left: { rows: 3, of: me }\n"], r"no entry K_left, K_right, R, T"),
+        ([yaml.safe_dump({"cam0": 5, "cam1": CAM})], r"cam0 is 5; expected a camera's entries"),
+        (
+            [yaml.safe_dump({**INFO, "distortion_coefficients": "none"})] * 2,
+            r"distortion_coefficients: expected numbers, found 'none'",
+        ),
         (["- 1\n- 2"], r"(?s)no calibration of a pair in .*0\.yaml: nothing.*Expected one of"),
         (["a: 1\nb: 2"], r"0\.yaml: a, b"),
         (["a: [1"], r"not a YAML file"),
@@ -282,6 +288,12 @@ def test_a_binary_file_is_no_calibration(tmp_path):
     (tmp_path / "rig.yaml").write_bytes(b"\x80\x04\x95\xff\xfe")
     with pytest.raises(UserError, match=r"not a YAML file"):
         read_calibration([tmp_path / "rig.yaml"])
+
+
+@pytest.mark.parametrize("t", [0.0, np.nan])
+def test_a_rig_without_baseline_is_refused(t):
+    with pytest.raises(UserError, match=r"baseline T is \[.*\]; expected the vector"):
+        RIG.with_pose(np.eye(3), np.full(3, t))
 
 
 @pytest.mark.parametrize("write", [write_opencv, write_kalibr])

@@ -257,6 +257,31 @@ def test_a_method_without_weights_stays_in_the_table(scores):
     assert "| superglue+5dof | no weights: put them in models/ |" in text
 
 
+def test_stale_predictions_are_refused_before_anything_is_predicted(data, tmp_path, capsys):
+    fingerprint = delivery(data).open().fingerprint
+    origin = predictions.Origin("dis+5dof", "gt", fingerprint, "of another version")
+    predictions.write(tmp_path / "predictions" / "dis+5dof-gt.h5", [], origin)
+    arguments = ["--data", str(data), "--methods", "sift+5dof", "--size", "96x48",
+                 "--split", "all", "--out", str(tmp_path)]  # fmt: skip
+    assert main(arguments) == 2
+    assert "predictions of other settings, weights or another version" in capsys.readouterr().err
+
+
+def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
+    out = tmp_path / "a" / "b"
+    arguments = ["--data", str(data), "--methods", "superglue+loransac", "--size", "96x48",
+                 "--split", "all", "--matched-pairs", "0", "--out", str(out)]  # fmt: skip
+    assert main(arguments) == 0
+    assert "no weights" in (out / "tables.md").read_text()
+
+
+def test_a_path_of_weights_may_have_a_plus(tmp_path):
+    path = tmp_path / "a+b.safetensors"
+    save_weights(path, network(TINY_PAPER), Card(preset="custom"))
+    assert stamp.of_method(f"network={path}") == stamp.of_method(f"network={path}+5dof")
+    assert stamp.of_method(f"network={path}") != stamp.of_method("network")
+
+
 def test_a_limit_is_spread_over_the_set(data):
     pairs = replace(delivery(data), limit=2).open()
     assert pairs.chosen == [0, len(pairs.pairs) - 1]
@@ -266,6 +291,10 @@ def test_a_limit_is_spread_over_the_set(data):
     ("more", "message"),
     [
         (["--methods", "sift+6dof"], r"method 'sift\+6dof': expected some of network"),
+        (["--jobs", "0"], "--jobs 0: expected at least 1"),
+        (["--limit", "-1"], "--limit -1: expected at least 0"),
+        (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),
+        (["--offsets", "shift"], "shift"),
         (["--size", "huge"], "--size huge: expected WIDTHxHEIGHT"),
         (["--size", "2048x1024"], r"less than 2048x1024; ask for a smaller --size"),
     ],

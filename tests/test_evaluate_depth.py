@@ -14,6 +14,7 @@ from flowrect.evaluate_depth import DepthOptions, main, matched_by
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.predictions import Origin, Prediction, write
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
+from flowrect.evaluation.stamp import of_method
 from flowrect.methods import PoseEstimate
 from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing, sized
@@ -47,7 +48,7 @@ def given(tmp_path: Path) -> list[str]:
             t = {"right": T[:3, 3], "wild": np.array([0.0, -1.0, 0.0])}.get(method)
             pose = None if t is None else PoseEstimate(T[:3, :3], t)
             rows.append(Prediction(i, "", pose, "" if pose else "too few matches"))
-        origin = Origin(method, "nominal", pairs.fingerprint, "0")
+        origin = Origin(method, "nominal", pairs.fingerprint, of_method(method))
         write(tmp_path / "results" / "predictions" / f"{method}.h5", rows, origin)
     return ["--data", str(data), "--results", str(tmp_path / "results"), "--size", "96x48",
             "--split", "all"]  # fmt: skip

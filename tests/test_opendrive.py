@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from test_ground import make_spec
 
 from simgen import given_map, markings, roads
-from simgen.alignment import lines, reference, strips
+from simgen.alignment import lines, reference, strips, things
 from simgen.config import Job, RenderOptions, resolve
 from simgen.errors import UserError
 from simgen.opendrive import read
@@ -225,6 +225,29 @@ def test_roads_far_from_the_rig_are_left_out():
     both = text.replace("</OpenDRIVE>", far + "</OpenDRIVE>").encode()
     network = roads.build(make_spec("rural", 1), both)
     assert len({x.road for x in network.lanes}) == 1
+
+
+def test_pieces_without_length_are_left_out():
+    """A lane section at the very end of its road: some tools write one, and roadgen refuses it."""
+    text = MAPS["signal_crossing"].read_text()
+    first, end = text.index("<laneSection"), text.index("</lanes>")
+    last = text.index("</laneSection>") + len("</laneSection>")
+    copy = text[first:last].replace('s="0"', 's="150.00001"', 1)
+    spoilt = text[:end] + copy + text[end:]
+    assert given_map.canonical(spoilt.encode(), {"1"}, np.zeros(2), "town").count("150.00001") == 0
+    assert roads.build(make_spec("urban", 3), spoilt.encode()).lanes
+
+
+def test_corners_in_road_coordinates_stay_there_whatever_the_heading():
+    """A crossing over s 48 … 52 and t −4 … 4, whose object is turned by a quarter."""
+    corners = "".join(f'<cornerRoad s="{s}" t="{t}"/>'
+                      for s, t in ((48, -4), (52, -4), (52, 4), (48, 4)))  # fmt: skip
+    more = (f'<objects><object type="crosswalk" id="1" s="50" t="0" hdg="{np.pi / 2}">'
+            f"<outlines><outline>{corners}</outline></outlines></object></objects>")  # fmt: skip
+    [road] = read(one_road(more=more))
+    [thing] = things(road)
+    np.testing.assert_allclose(np.sort(thing.outline[:, 0]), [48, 48, 52, 52], atol=1e-9)
+    np.testing.assert_allclose(np.sort(thing.outline[:, 1]), [-4, -4, 4, 4], atol=1e-9)
 
 
 def test_paint_is_the_maps():

@@ -314,6 +314,10 @@ def test_nothing_is_overwritten_unasked(folders, weights, capsys):
     mark = folders / "out" / "a" / "mark"
     mark.parent.mkdir(parents=True)
     mark.touch()
+    assert main(command(folders, "--existing", "replace")) == 2
+    assert "so it is not a result that could be replaced" in capsys.readouterr().err
+    assert mark.exists()
+    (mark.parent / "quality.json").write_text("{}")  # of somebody else; it is passed over
     assert main(command(folders)) == 2
     assert "holds results of 1 of 2 pairs, first a" in capsys.readouterr().err
     assert main(command(folders, "--existing", "keep")) == 0
@@ -321,6 +325,12 @@ def test_nothing_is_overwritten_unasked(folders, weights, capsys):
     assert mark.exists()
     assert main(command(folders, "--existing", "replace")) == 0
     assert not mark.exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named(folders, weights, capsys):
+    (folders / "out").touch()
+    assert main(command(folders)) == 2
+    assert "Choose another --out" in capsys.readouterr().err
 
 
 def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_half(folders, weights, capsys, monkeypatch):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -465,6 +466,23 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path):
     expected = r"set: another simgen is rendering into this folder\. Wait for it, stop it"
     with folder.locked(), pytest.raises(UserError, match=expected):
         _render(tmp_path / "set", 1)
+
+
+def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
+    def refuse(file, how):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(run.fcntl, "flock", refuse)
+    expected = r"cannot be locked \(No locks available\).* Choose --out on another"
+    with pytest.raises(UserError, match=expected), SetFolder(tmp_path / "set").locked():
+        pytest.fail("locked")
+
+
+def test_what_was_asked_of_each_side_is_kept(tmp_path):
+    folder = SetFolder(tmp_path)
+    folder.open_manifest({"seed": 0}, 16, 30, "train").save(tmp_path)
+    grown = folder.open_manifest({"seed": 0}, 16, 9, "all")
+    assert (grown.pairs_asked, grown.num_pairs_asked) == ({"train": 30, "test": 9}, 30)
 
 
 def test_other_options_are_refused_and_listed(whole):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from flowrect.matches import Matches
 from flowrect.methods import METHODS, load_method
 from flowrect.solvers import SOLVERS, NoSolution
-from flowrect.solvers.fit import FIVE_DOF, THREE_DOF, fit, sampson_px
+from flowrect.solvers.fit import FIVE_DOF, THREE_DOF, Fit, _Problem, fit, sampson_px
 from simgen.errors import UserError
 from simgen.geometry import Array, project, transform
 
@@ -158,6 +158,13 @@ def test_a_threshold_on_normalised_points_lets_wrong_matches_in():
     }
     assert errors["loransac"] < 0.05
     assert errors["loransac-paper"] > 4 * errors["loransac"]
+
+
+def test_a_fit_that_no_match_agrees_with_has_no_covariance():
+    matches = Matches(np.zeros((3, 2)), np.ones((3, 2)))
+    problem = _Problem(matches, np.eye(3), np.eye(3), np.eye(4) + np.eye(4, k=3), Fit())
+    with pytest.raises(NoSolution, match="no match agrees"):
+        problem.covariance(np.zeros(3), 1.0, np.zeros(3, dtype=bool))
 
 
 def test_an_unknown_method_is_answered_by_those_that_there_are():

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from painted import centroids, dots
+from scipy.spatial.transform import Rotation
 from small_set import make_frame, write_set
 
 from flowrect.calibration import Calibration
@@ -224,6 +225,14 @@ def test_carla_pose_is_the_nominal_one_between_turned_cameras(tmp_path: Path) ->
     expected = turns[0] @ pair.T_right_left_nominal @ turns[1]
     np.testing.assert_allclose(pair.T_right_left, expected, atol=1e-12)
     assert pair.T_right_left_nominal[0, 3] < -1  # cameras are numbered from left to right
+
+
+def test_carla_says_how_far_its_cameras_are_turned(tmp_path: Path) -> None:
+    pairs = open_source(_carla(tmp_path)[0])
+    turns = [Rotation.from_matrix(t).as_rotvec(degrees=True)
+             for p in pairs for t in (p.turn_left, p.turn_right)]  # fmt: skip
+    assert pairs.largest_turn_deg == pytest.approx(np.abs(turns).max())
+    assert pairs.largest_turn_deg > 0.1
 
 
 def test_carla_list_says_which_camera_is_perturbed(tmp_path: Path) -> None:

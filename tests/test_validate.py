@@ -638,6 +638,14 @@ def test_frames_that_were_asked_for_and_are_not_there_are_missing(folder: Path) 
     assert failures(folder)["frames"].startswith("missing: 97 frames, first [3, 4,")
 
 
+def test_a_set_may_grow_on_one_side_only(folder: Path) -> None:
+    shards = {"test-00000.h5": [0], "train-00000.h5": [1, 2]}
+    write_manifest(folder, shards, num_pairs_asked=300, pairs_asked={"train": 9, "test": 30})
+    assert validate_folder(folder).passed
+    write_manifest(folder, shards, num_pairs_asked=300, pairs_asked={"train": 9, "test": 33})
+    assert failures(folder) == {"frames": "missing: [10]"}
+
+
 def test_a_gap_is_found_unless_it_is_a_recorded_failure(folder: Path, tiny: Frame) -> None:
     write_shard(folder / "train-00000.h5", [numbered(tiny, 1), numbered(tiny, 3)])
     shards = {"test-00000.h5": [0], "train-00000.h5": [1, 3]}

@@ -9,12 +9,13 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 
+from flowrect.evaluation.stamp import of_method
 from flowrect.methods import PoseEstimate
 from simgen.errors import UserError
 from simgen.geometry import Array
@@ -137,11 +138,16 @@ def _row(i: int, arrays: dict[str, Array], texts: dict[str, list[str]]) -> Predi
 
 
 def predictions_of(folder: Path, data: str) -> dict[tuple[str, str], dict[int, Prediction]]:
-    """All predictions in a results folder that are of these pairs: by method and t, by pair."""
+    """All predictions in a results folder that are of these pairs: by method and t, by pair.
+
+    UserError if some are stale: tables would mix versions.
+    """
     files = sorted((folder / "predictions").glob("*.h5"))
     origins = {path: origin_of(path) for path in files}
     return {
-        (origin.method, origin.translation): {r.index: r for r in read(path, origin)}
+        (origin.method, origin.translation): {
+            r.index: r for r in read(path, replace(origin, stamp=of_method(origin.method)))
+        }
         for path, origin in origins.items()
         if origin.data == data
     }

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
+from flowrect.methods import network_of
 from flowrect.weights import find_weights
 
 _PACKAGE = Path(__file__).parents[1]
@@ -29,10 +30,8 @@ def of_matchers() -> str:
 @cache
 def of_method(name: str) -> str:
     """Of everything that decides what a method says; the weights of a network included."""
-    head = name.partition("+")[0]
-    weights = []
-    if head.partition("=")[0] == "network":
-        weights = [find_weights(head.partition("=")[2] or "small")]
+    with_network = name.startswith("network")
+    weights = [find_weights(network_of(name)[0])] if with_network else []
     return _digest([*_sources(_METHODS), *weights])
 
 

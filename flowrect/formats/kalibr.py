@@ -62,7 +62,9 @@ def unwritable(rig: Calibration) -> str:
     return "Kalibr's radtan ends at k1, k2, p1, p2; the lens has more." if higher else ""
 
 
-def _camera(entries: dict[str, Any], where: str) -> dict[str, Any]:
+def _camera(entries: Any, where: str) -> dict[str, Any]:
+    if not isinstance(entries, dict):
+        raise UserError(f"{where} is {entries!r}; expected a camera's entries below it.")
     model, lens = entries.get("camera_model"), entries.get("distortion_model", "none")
     if model != "pinhole" or lens not in LENSES:
         raise UserError(

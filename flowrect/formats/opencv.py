@@ -124,7 +124,10 @@ def _renamed(values: dict[str, Any], where: str) -> dict[str, Any]:
 def _value(node: cv2.FileNode) -> Any:
     """A matrix, a list, a number or a text of a node; None for anything else."""
     if node.isMap():
-        return np.asarray(node.mat(), dtype=np.float64)
+        try:
+            return np.asarray(node.mat(), dtype=np.float64)
+        except cv2.error:  # a map, but no matrix
+            return None
     if node.isSeq():
         return np.array([node.at(i).real() for i in range(node.size())])
     if node.isString():

@@ -90,7 +90,13 @@ def _camera(path: Path, info: dict[str, Any]) -> dict[str, Any]:
         raise UserError(f"{path}: distortion_model {model!r}, expected one of {', '.join(MODELS)}.")
     K, R, P = (matrix(_data(info, n, path), shape, f"{path}: {n}") for n, shape in SHAPES.items())
     lens: Lens = "fisheye" if model == "equidistant" else "polynomial"
-    coefficients = np.array(_data(info, "distortion_coefficients", path), dtype=np.float64)
+    stated = _data(info, "distortion_coefficients", path)
+    try:
+        coefficients = np.array(stated, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UserError(
+            f"{path}: distortion_coefficients: expected numbers, found {stated!r}."
+        ) from error
     return {
         "K": K,
         "R": rotation(R, f"{path}: rectification_matrix"),

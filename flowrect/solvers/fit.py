@@ -154,6 +154,8 @@ class _Problem:
         Source: P. Huber, *Robust Statistics*, 7.6: (JᵀJ)⁻¹ mean(ψ²) / mean(ψ')² of an M-estimator;
         here of the inliers, with what the prior adds.
         """
+        if not inliers.any():
+            raise NoSolution("no match agrees with the pose that was fitted")
         step = 1e-6 * np.eye(len(x))
         r = self.residuals(x)[: len(inliers)][inliers]
         J = np.stack([self.residuals(x + d) - self.residuals(x - d) for d in step], axis=1) / 2e-6

@@ -20,7 +20,7 @@ from flowrect.files import matrix, read_json, read_rgb, read_rows
 from flowrect.sample import Image, Pair
 from flowrect.sources.pairs import Pairs, digest_files
 from simgen.errors import UserError
-from simgen.geometry import Array, intrinsics, inverse
+from simgen.geometry import Array, intrinsics, inverse, vector_from_rotation
 
 COLUMNS = ("target_cam", "ref_cam", "left_perturbed", "right_perturbed", "left", "right")
 CONFIG = "config_args.json"
@@ -64,7 +64,23 @@ def open_carla(root: Path, rows: Sequence[dict[str, str]] | None = None) -> Pair
         partial(_read, *_optics(config)),
         layout=f"{root}: the release's Carla set",
         fingerprint=digest_files([config, *sorted(files)]),
+        largest_turn_deg=_largest_turn_deg(items),
     )
+
+
+def _largest_turn_deg(items: Sequence[Item]) -> float:
+    """Of all perturbed cameras against their nominal poses, about each axis."""
+    views = {(item.poses, v.camera) for item in items for v in (item.left, item.right)
+             if v.perturbed}  # fmt: skip
+    contents = {path: read_json(path) for path, _ in views}
+    turns = [
+        vector_from_rotation(
+            _pose(contents[path], path, camera, False)[:3, :3].T
+            @ _pose(contents[path], path, camera, True)[:3, :3]
+        )
+        for path, camera in views
+    ]
+    return float(np.rad2deg(np.abs(turns).max())) if turns else 0.0
 
 
 def read_list(path: Path) -> list[dict[str, str]]:
