@@ -108,11 +108,6 @@ def infinite_homography(K_left: Array, K_right: Array, R_right_left: Array) -> A
     return K_right @ R_right_left @ np.linalg.inv(K_left)
 
 
-def essential_matrix(T_right_left: Array) -> Array:
-    """E (3, 3) with ``x_rightᵀ E x_left = 0`` for normalised image points."""
-    return skew(T_right_left[:3, 3]) @ T_right_left[:3, :3]
-
-
 def rectifying_rotations(T_right_left: Array) -> tuple[Array, Array]:
     """Rotations ``(R_rect_left, R_rect_right)`` that make the pair's image rows epipolar lines.
 

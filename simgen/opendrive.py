@@ -258,6 +258,10 @@ def _sections(element: Element, length: float) -> tuple[Section, ...]:
     starts = [_number(e, "s") for e in found]
     if not found:
         raise UserError("no <laneSection> in it.")
+    if any(e.get("singleSide") == "true" for e in found):
+        raise UserError(
+            'a <laneSection> is of one side only; expected none with singleSide="true".'
+        )
     return tuple(
         Section(start, end, tuple(lane_shape(x) for side in ("left", "center", "right")
                                   for x in _by_number(e.findall(f"{side}/lane"))))

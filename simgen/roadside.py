@@ -237,10 +237,10 @@ _SHOPPING_STREETS = ("town", "downtown")
 
 
 def small_things(layout: Layout) -> Placed:
-    """Bins, benches, bollards and the like on pavements; reflector posts on open roads."""
+    """Bins, benches, bollards and the like on pavements; posts along open roads."""
     rng = layout.spec.stream("small things")
     if layout.spec.road.kind != "town":
-        yield from _delineators(layout, rng)
+        yield from _posts(layout, rng)
         return
     if layout.spec.small_per_100m <= 0:
         return
@@ -272,10 +272,14 @@ def _small(layout: Layout, kind: str, rng: np.random.Generator) -> Model:
     return (pavement.CLUTTER | terraces.TERRACE)[kind](rng=rng)
 
 
-def _delineators(layout: Layout, rng: np.random.Generator) -> Placed:
+def _posts(layout: Layout, rng: np.random.Generator) -> Placed:
+    """Reflectors every 50 m, kilometres every 500 m."""
     for _, line in edges(layout):
         for point, heading in along(layout, line, 50.0, rng, -0.5):
             yield _stands(layout, furniture.delineator(rng=rng), point, heading + np.pi)
+        for point, heading in along(layout, line, 500.0, rng, -0.9):
+            post = furniture.kilometre_post(layout.sign_rects, rng=rng)
+            yield _stands(layout, post, point, heading + np.pi)
 
 
 # --- between road and land -----------------------------------------------------------------------

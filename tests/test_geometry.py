@@ -184,15 +184,6 @@ def test_pixel_grid_is_uv_by_row_and_column():
 # --- two views --------------------------------------------------------------------------------
 
 
-def test_matching_rays_satisfy_the_essential_matrix(worst):
-    T_right_left, left = pose(12, 0.3), points_ahead(100)
-    right = g.transform_points(T_right_left, left)
-    x_left, x_right = left / left[:, 2:], right / right[:, 2:]
-    line = x_left @ g.essential_matrix(T_right_left).T
-    distance = np.sum(x_right * line, axis=1) / np.linalg.norm(line[:, :2], axis=1)
-    worst("epipolar distance for f = 1", distance[right[:, 2] > 0.1], 1e-12, "f")
-
-
 def test_infinite_homography_is_the_limit_of_far_points():
     K_left, K_right, T = K_of(13), K_of(14), pose(15, 0.2)
     uv = np.random.default_rng(16).uniform(0, 600, (50, 2))

@@ -299,6 +299,10 @@ BAD = {
     "no geometry": (one_road(""), "road 1: no <geometry> in its <planView>"),
     "too short": (one_road(LINE.replace('"200"', '"30"')), "too short to drive on: .* for 50 m"),
     "on the left": (one_road(road='rule="LHT"'), "traffic drives on the left"),
+    "one side": (
+        one_road().replace(b'<laneSection s="0">', b'<laneSection s="0" singleSide="true">'),
+        "road 1: a <laneSection> is of one side only",
+    ),
     "borders": (one_road(lane='<border a="3"/>'), "lane -1 is given by its <border>"),
     "entities": (ENTITY, "it declares a document type"),
 }
