@@ -13,6 +13,16 @@ from numpy.typing import ArrayLike
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
+LONGEST = ("test_evaluate", "test_produce", "test_train", "test_world", "test_run", "test_onnx",
+           "test_flow_network", "test_matchers", "test_rivals", "test_drectify")  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take longest begin first: no process is left alone with one at the end."""
+    rank = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(LONGEST)))
+
+
 @pytest.fixture(scope="session")
 def mitsuba_active() -> None:
     """Loads Mitsuba once, in the variant that SIMGEN_TEST_VARIANT names, else the fastest."""
