@@ -307,6 +307,7 @@ class Rectifier(nn.Module):
             self.decoder, inputs = ConvDecoder(config), cells
         else:
             self.decoder, inputs = DisplacementDecoder(config), 3 * cells
+        self.passes = config.passes
         self.linear = nn.Linear(inputs, 6)
         if config.zero_head:
             nn.init.zeros_(self.linear.weight)
@@ -336,7 +337,7 @@ class Rectifier(nn.Module):
         f = self.cnn(torch.cat([left, right]) - 0.5)  # a. features
         K_left, K_right = (resized(K, 1 / self.stride) for K in (K_left, K_right))
         prediction = self._from_prior(f, K_left, K_right, R_init, t_init)
-        for _ in range(0 if self.training else self.config.passes - 1):
+        for _ in range(0 if self.training else self.passes - 1):
             prediction = self._from_prior(f, K_left, K_right, prediction.R, t_init)
         return prediction
 

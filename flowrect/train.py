@@ -134,6 +134,8 @@ class RectifierTask:
             )
         self.options = options
         self.model, self._before = initial_model(options)
+        if options.overfit:  # it asks what training reaches, which knows the first pass only
+            self.model.passes = 1
         self.input_wh = options.model.input_wh
         self._teacher = load_flow(options.flow_weights) if options.teacher == "raft" else None
 
