@@ -54,8 +54,8 @@ SMALL_BLOCK = 1 << 20
 """bytes up to which memory is always kept for the next use"""
 KERNEL_FOLDER = Path.home() / ".drjit"
 """where Dr.Jit leaves the kernels that it compiled, if it can"""
-NIGHT_LAMPS = 16
-"""Light slots of a night scene."""
+NIGHT_LAMPS = 17
+"""light slots of a night scene, one of them dark, see scene.load"""
 
 
 class Stopwatch:

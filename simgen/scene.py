@@ -120,7 +120,7 @@ def load(world: World, *, num_lamps: int) -> Scene:
     """Hands the world to Mitsuba.
 
     ``num_lamps`` is the number of light slots of a night scene (0 by day): the first lamps take
-    them, slots that are left over stay dark.
+    all but one of them, slots that are left over stay dark.
     """
     slots = _slots(world)
     with _no_expansion():
@@ -394,8 +394,13 @@ def _sky_dict(sky: NDArray[np.float32]) -> dict[str, Any]:
 
 
 def _lamp_dicts(lamps: Sequence[Lamp], num: int) -> list[dict[str, Any]]:
+    """``num`` slots, the last of which is always dark.
+
+    Were all of them lit, Mitsuba would choose among them evenly, which is another kernel.
+    """
     off = Lamp(np.array([0.0, 0, -800]), np.array([0.0, 0, -1]), np.zeros(3), 60.0, 50.0)
-    return [_spot(lamp) for lamp in [*lamps[:num], *[off] * (num - len(lamps))]]
+    lit = lamps[: max(0, num - 1)]
+    return [_spot(lamp) for lamp in [*lit, *[off] * (num - len(lit))]]
 
 
 def _spot(lamp: Lamp) -> dict[str, Any]:

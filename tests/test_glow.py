@@ -12,6 +12,8 @@ from simgen import night
 from simgen.atmosphere import transmittance
 from simgen.glow import emitted
 from simgen.mesh import box, part
+from simgen.produce import NIGHT_LAMPS
+from simgen.scene import Lamp, _lamp_dicts
 from simgen.schema import LABELS
 
 pytestmark = pytest.mark.usefixtures("mitsuba_active")
@@ -31,6 +33,14 @@ def _lamp(distance_m: float, half_m: float = 0.6):
 
 def _light(parts, visibility_m=CLEAR_M):
     return emitted(scene_of(parts), camera(), visibility_m)
+
+
+@pytest.mark.parametrize("num", [4, 16, 60])
+def test_one_light_slot_stays_dark_however_many_lamps_there_are(num):
+    """With all slots lit Mitsuba would compile another kernel."""
+    lamp = Lamp(np.zeros(3), np.array([0.0, 0, -1]), LAMP, 60.0, 50.0)
+    weights = [d["sampling_weight"] for d in _lamp_dicts([lamp] * num, NIGHT_LAMPS)]
+    assert weights == [1.0] * min(num, 16) + [0.0] * (17 - min(num, 16))
 
 
 def test_a_lamp_that_fills_a_pixel_gives_it_its_radiance():
