@@ -31,6 +31,7 @@ from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
+from flowrect.files import make_folder
 from flowrect.matchers import load_matcher
 from flowrect.matches import Matcher
 from flowrect.methods import METHODS, training_of
@@ -75,12 +76,7 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     """Predicts what is missing, scores everything, and writes the files."""
     _require_sensible(options)
     matchers = _offset_matchers(options.offsets)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(
-            f"{options.out}: cannot be made ({error.strerror}). Choose another --out."
-        ) from error
+    make_folder(options.out)
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
     predictions_of(options.out, delivery.open().fingerprint)  # raises now if some are stale

@@ -17,6 +17,16 @@ from simgen.geometry import Array
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
+def make_folder(path: Path) -> None:
+    """Makes a folder and those above it; UserError if it cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot be made ({error.strerror}). Choose another --out."
+        ) from error
+
+
 def read_rgb(path: Path) -> Image:
     """An 8-bit image (H, W, 3) in RGB; a grey one becomes three equal channels."""
     if not path.is_file():

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from flowrect import checkpoint
 from flowrect.config import LoopOptions
+from flowrect.files import make_folder
 from flowrect.geometry import angles_per_axis_rad
 from flowrect.loading import Loading, PairLoader
 from flowrect.resize import Sizing
@@ -82,7 +83,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     _require_sensible(options)
     started = time.monotonic()
     accelerator = Accelerator(mixed_precision=options.precision)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     torch.manual_seed(options.loading.seed)
     task = make_task()
     pairs = open_pairs(options)
@@ -118,12 +119,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             if norm is not None and accelerator.scaler is None:  # a scaler skips such a step
                 stop_if_not_finite("gradient", norm, batch, options.out)
             lr = learning_rate(run.step, last_step, options)
-            for group in optimiser.param_groups:
-                group["lr"] = lr
-            optimiser.step()
-            optimiser.zero_grad()
-            run.step += 1
-
+            run.update(lr)
             late = options.minutes and time.monotonic() - started > 60 * options.minutes
             means, stopping = over_processes(summed, bool(interrupted() or late), accelerator)
             summed = {}
@@ -162,6 +158,14 @@ class Run:
     """(3,) largest |angle| between prior and truth per axis, of this process's pairs"""
     hours_before: float = 0.0
     """of the runs that this one goes on from"""
+
+    def update(self, lr: float) -> None:
+        """Takes a step along the gradients that were gathered."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = lr
+        self.optimiser.step()
+        self.optimiser.zero_grad()
+        self.step += 1
 
     def note_prior_range(self, batch: Batch) -> None:
         """Widens the range by the priors of a batch."""

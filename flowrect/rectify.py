@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import track
 
 from flowrect.calibration import Calibration, Projections, projections
-from flowrect.files import read_json, read_rgb
+from flowrect.files import make_folder, read_json, read_rgb
 from flowrect.formats import kalibr, opencv, read_calibration, ros
 from flowrect.methods import Method, PoseEstimate, load_method
 from flowrect.overlay import View, draw_overlay
@@ -307,12 +307,7 @@ def run(options: RectifyOptions, console: Console) -> int:
     h, w = read_rgb(pairs[0].left).shape[:2]
     rig = read_calibration(options.calib, (w, h))
     method = load_method(_with_weights(options))
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(
-            f"{options.out}: cannot be made ({error.strerror}). Choose another --out."
-        ) from error
+    make_folder(options.out)
     failed = 0
     try:
         for pair in track(todo, "rectifying", console=console, disable=len(todo) < 2):
