@@ -210,7 +210,8 @@ class SetFolder:
                 f"{self.path}: was rendered with other options: {'; '.join(differences)}. Ask for "
                 "the same, or choose another folder with --out."
             )
-        for side, num in found.pairs_asked.items():
+        before = found.pairs_asked or dict.fromkeys(SIDES, found.num_pairs_asked)
+        for side, num in before.items():
             asked[side] = max(num, asked.get(side, 0))
         most = max(n, found.num_pairs_asked)
         return replace(found, num_pairs_asked=most, pairs_asked=asked)

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -483,6 +484,9 @@ def test_what_was_asked_of_each_side_is_kept(tmp_path):
     folder.open_manifest({"seed": 0}, 16, 30, "train").save(tmp_path)
     grown = folder.open_manifest({"seed": 0}, 16, 9, "all")
     assert (grown.pairs_asked, grown.num_pairs_asked) == ({"train": 30, "test": 9}, 30)
+    replace(grown, pairs_asked={}).save(tmp_path)  # as older versions left it
+    grown = folder.open_manifest({"seed": 0}, 16, 60, "train")
+    assert grown.pairs_asked == {"train": 60, "test": 30}
 
 
 def test_other_options_are_refused_and_listed(whole):
