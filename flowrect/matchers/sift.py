@@ -73,7 +73,7 @@ def _best(
 ) -> NDArray[np.int64]:
     """Indices (M, 2) of descriptors and their best partners, where the next is far worse.
 
-    Distances come from one matrix product, in a tenth of the time of OpenCV's matcher. They are
+    Distances come from one matrix product, in a fifth of the time of OpenCV's matcher. They are
     exact: descriptors are whole numbers whose squares sum to less than 2²⁴.
     """
     if not len(first) or len(second) < 2:
