@@ -268,7 +268,8 @@ def free_memory() -> None:
 
     glibc keeps freed memory in the arenas of its threads: without trimming, a worker that needs
     300 MiB between two small frames had grown to 1 GiB after 25 of them. Dr.Jit keeps each kernel
-    that it has met, 20 MiB after a dozen frames; reading those on disk again takes up to 0.2 s of CPU a frame.
+    that it has met, 20 MiB after a dozen frames; to read those on disk again takes up to 0.2 s of
+    CPU a frame.
     """
     gc.collect()
     dr.flush_malloc_cache()
