@@ -1,0 +1,53 @@
+"""How much of an evaluation is the harness: reading, preparing, scoring, tables, pictures.
+
+    python benchmarks/harness_share.py --data test/ [--method network] [--limit 0]
+
+Runs ``flowrect.evaluate`` for one method into a folder of its own and compares its wall time with
+the seconds that the method itself took, as its predictions have them. The bar is a share of 10 %.
+"""
+
+from __future__ import annotations
+
+import csv
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Options:
+    """Times one evaluation."""
+
+    data: Path
+    """a set of simgen"""
+    method: str = "network"
+    size: str = "1024x512"
+    limit: int = 0
+    """pairs; 0: all"""
+
+
+def main(options: Options) -> None:
+    """Prints the shares; one translation, so that nothing is matched once and counted twice."""
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        command = ["--data", options.data, "--methods", options.method, "--translations", "nominal",
+                   "--size", options.size, "--limit", options.limit, "--out", folder]  # fmt: skip
+        subprocess.run([sys.executable, "-m", "flowrect.evaluate", *map(str, command)], check=True)
+        whole = time.perf_counter() - start
+        with (Path(folder) / "scores.csv").open(newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["method"] == options.method]
+    own = sum(float(row["seconds"]) for row in rows)
+    print(
+        f"{len(rows)} pairs on {platform.processor() or platform.machine()}: {whole:.0f} s, of "
+        f"which {options.method} took {own:.0f} s; the harness is {1 - own / whole:.1%}"
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
