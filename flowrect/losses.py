@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flowrect.correspondences import Correspondences
 from flowrect.drectify import Rectification, rectified_uv
-from flowrect.geometry import inside
+from flowrect.geometry import inside, project
 
 
 def rotation_loss(R_gt: Tensor, R: Tensor, *, weight: float = 10.0) -> Tensor:
@@ -44,14 +44,28 @@ def across_epipolar_lines(flow: Tensor, vertical: Tensor) -> Tensor:
 
 
 def vertical_flow_loss(
-    rect: Rectification, truth: Correspondences, wh: tuple[int, int], *, weight: float = 0.1
+    rect: Rectification,
+    truth: Correspondences,
+    K_left: Tensor,
+    K_right: Tensor,
+    wh: tuple[int, int],
+    *,
+    weight: float = 0.1,
 ) -> Tensor:
-    """Weighted mean |vertical flow| [px] over all correspondences inside both rectified frames.
+    """Weighted mean |vertical flow| [px] over all correspondences that the rectified images show.
 
-    0 if an estimate is so far off that none is. Source: paper, Eq. 16, with exact flow.
+    Their ends lie in the rectified frames and in the source images, which may be windows of what
+    the correspondences were taken from: elsewhere a rectified image has only a black border. 0 if
+    an estimate is so far off that none is left. Source: paper, Eq. 16, with exact flow.
+
+    Args:
+      K_left, K_right: (B, 3, 3) [px] of the source images.
+      wh: size of the source images, and of the rectified ones.
     """
     flow, counted = rectified_vertical_flow(rect, truth, wh)
-    return weight * _masked_mean(flow.abs(), counted)
+    uv_left, uv_right = project(K_left, truth.rays_left), project(K_right, truth.rays_right)
+    shown = inside(uv_left, wh) & inside(uv_right, wh)
+    return weight * _masked_mean(flow.abs(), counted & shown)
 
 
 def image_flow_loss(

@@ -85,7 +85,9 @@ def loss_terms(
                 weight=weights.flow,
             )
         elif truth is not None:
-            terms["flow"] = vertical_flow_loss(rect, truth, METRIC_WH, weight=weights.flow)
+            terms["flow"] = vertical_flow_loss(
+                rect, truth, K_left, K_right, METRIC_WH, weight=weights.flow
+            )
     if weights.matching and truth is not None:
         terms["matching"] = weights.matching * matching_loss(
             prediction.log_matches, truth, prediction.rectification, prediction.feature_wh

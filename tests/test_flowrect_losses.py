@@ -8,7 +8,7 @@ import torch
 from analytic_pairs import WH, AnalyticPairs, analytic_pairs
 
 from flowrect.drectify import Rectification, rectified_uv, rectify
-from flowrect.geometry import rotation_from_vector
+from flowrect.geometry import cropped, inside, project, rotation_from_vector
 from flowrect.losses import (
     image_flow_loss,
     matching_loss,
@@ -24,6 +24,10 @@ def off_by(pairs: AnalyticPairs, error_deg: tuple[float, float, float]) -> Recti
     """Rectification by the true pose, its rotation off by so much in the right camera's axes."""
     error = rotation_from_vector(torch.tensor(error_deg).double().deg2rad())
     return rectify(error.mT @ pairs.R, pairs.t, pairs.K_left, pairs.K_right, WH)
+
+
+def flow_loss(rect: Rectification, pairs: AnalyticPairs) -> torch.Tensor:
+    return vertical_flow_loss(rect, pairs.truth, pairs.K_left, pairs.K_right, WH)
 
 
 def test_rotation_loss_is_ten_times_the_sum_of_entries():
@@ -46,12 +50,12 @@ def test_true_pose_has_no_flow_loss(vertical):
     pairs = analytic_pairs(4, seed=1, vertical=vertical)
     rect = off_by(pairs, (0, 0, 0))
     assert (rect.vertical == vertical).all()
-    assert vertical_flow_loss(rect, pairs.truth, WH) < 1e-12
+    assert flow_loss(rect, pairs) < 1e-12
 
 
 def test_flow_loss_sees_pitch_best_and_yaw_least():
     pairs = analytic_pairs(4, seed=2)
-    pitch, yaw, roll = (vertical_flow_loss(off_by(pairs, tuple(e)), pairs.truth, WH) for e in EYE)
+    pitch, yaw, roll = (flow_loss(off_by(pairs, tuple(e)), pairs) for e in EYE)
     # First order, points at infinity, uniform in the image: f·ω, f·ω·E|x y|, f·ω·E|x|
     f, (w, h) = float(pairs.K_left[0, 0, 0]), WH
     per_degree = 0.1 * f * np.deg2rad(1.0)
@@ -81,14 +85,35 @@ def test_flow_loss_is_a_tenth_of_the_mean_over_counted_correspondences_by_brute_
     sizes = []
     for b in range(3):
         K, R1, R2 = (x[b].numpy() for x in (rect.K_new, rect.R_left, rect.R_right))
+        K_left, K_right = pairs.K_left[b].numpy(), pairs.K_right[b].numpy()
         for left, right in zip(pairs.truth.rays_left[b], pairs.truth.rays_right[b], strict=True):
             p, q = K @ R1 @ left.numpy(), K @ R2 @ right.numpy()
-            ends = np.array([p[:2] / p[2], q[:2] / q[2]])
+            taken = [K_source @ x.numpy() for K_source, x in ((K_left, left), (K_right, right))]
+            ends = np.array([x[:2] / x[2] for x in (p, q, *taken)])
             if ((ends >= -0.5) & (ends < np.array(WH) - 0.5)).all():
                 sizes.append(abs(ends[1, 1] - ends[0, 1]))
     assert 0 < len(sizes) < pairs.truth.depth.numel()
-    loss = vertical_flow_loss(rect, pairs.truth, WH)
+    loss = flow_loss(rect, pairs)
     assert loss.item() == pytest.approx(0.1 * np.mean(sizes), rel=1e-12)
+
+
+def test_flow_loss_counts_nothing_on_the_border_without_image():
+    """Images that are the inner three quarters: what the cut took away lies beyond their border."""
+    pairs = analytic_pairs(2, seed=3)
+    cut = torch.tensor([WH[0] // 8, WH[1] // 8])
+    inner = (WH[0] * 3 // 4, WH[1] * 3 // 4)
+    K_left, K_right = (cropped(K, *cut.tolist()) for K in (pairs.K_left, pairs.K_right))
+    error = rotation_from_vector(torch.tensor([0.5, -0.8, 1.0]).double().deg2rad())
+    K_new = K_left.clone()
+    K_new[:, 0, 2] += 4  # shows 4 columns more on the left
+    rect = rectify(error.mT @ pairs.R, pairs.t, K_left, K_right, inner, K_new=K_new)
+    taken = [project(K, rays) for K, rays in
+             ((K_left, pairs.truth.rays_left), (K_right, pairs.truth.rays_right))]  # fmt: skip
+    shown = inside(taken[0], inner) & inside(taken[1], inner)
+    flow, counted = rectified_vertical_flow(rect, pairs.truth, inner)
+    assert (counted & ~shown).sum() > 20
+    loss = vertical_flow_loss(rect, pairs.truth, K_left, K_right, inner)
+    assert loss.item() == pytest.approx(0.1 * flow[counted & shown].abs().mean().item(), rel=1e-12)
 
 
 def test_vertical_flow_keeps_its_sign():
@@ -105,7 +130,7 @@ def test_flow_loss_of_a_hopeless_estimate_is_zero_and_its_gradient_finite():
     w = torch.tensor([[0.0, 3.0, 0.0]] * 2).double().requires_grad_()
     rect = rectify(rotation_from_vector(w) @ pairs.R, pairs.t, pairs.K_left, pairs.K_right, WH,
                    K_new=pairs.K_left)  # fmt: skip
-    loss = vertical_flow_loss(rect, pairs.truth, WH)
+    loss = flow_loss(rect, pairs)
     assert loss == 0
     loss.backward()
     assert w.grad.isfinite().all()
@@ -117,7 +142,7 @@ def test_gradients_of_the_flow_loss_are_those_of_finite_differences():
     def loss(w: torch.Tensor) -> torch.Tensor:
         R = rotation_from_vector(w) @ pairs.R
         rect = rectify(R, pairs.t, pairs.K_left, pairs.K_right, WH, K_new=pairs.K_left)
-        return vertical_flow_loss(rect, pairs.truth, WH)
+        return flow_loss(rect, pairs)
 
     w = torch.tensor([[0.01, 0.02, -0.01], [-0.02, 0.01, 0.015]]).double().requires_grad_()
     assert torch.autograd.gradcheck(loss, (w,))
@@ -132,7 +157,7 @@ def test_descending_both_losses_finds_the_true_rotation():
             group["lr"] = 3e-3 * 0.88**step
         R = rotation_from_vector(w) @ pairs.R
         rect = rectify(R, pairs.t, pairs.K_left, pairs.K_right, WH)
-        loss = rotation_loss(pairs.R, R) + vertical_flow_loss(rect, pairs.truth, WH)
+        loss = rotation_loss(pairs.R, R) + flow_loss(rect, pairs)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
