@@ -129,7 +129,8 @@ class LoopOptions:
     max_steps: int = 0
     """optimiser steps; 0: as many as the epochs have"""
     minutes: float = 0.0
-    """stop, with a checkpoint, after this time; 0: no limit. The rate still follows the epochs"""
+    """stop, with a checkpoint, once training has taken so long, the runs that this one goes on from
+    included; 0: no limit. The rate still follows the epochs"""
     lr: float = 1e-4
     """of Adam, at the start"""
     lr_final: float = 0.05

@@ -102,7 +102,8 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     with RunLog(options.out, run.step, last_step, active=accelerator.is_main_process) as log, \
          stop_on_interrupt() as interrupted:  # fmt: skip
         summed: dict[str, Tensor] = {}
-        for count, batch in enumerate(endless(loader, until=lambda: run.step >= last_step), 1):
+        batches = endless(loader, until=lambda: run.step >= last_step or run.spent)
+        for count, batch in enumerate(batches, 1):
             task.require(batch)
             batch = batch.to(accelerator.device)
             terms = task.terms(network, batch)
@@ -120,8 +121,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
                 stop_if_not_finite("gradient", norm, batch, options.out)
             lr = learning_rate(run.step, last_step, options)
             run.update(lr)
-            late = options.minutes and time.monotonic() - started > 60 * options.minutes
-            means, stopping = over_processes(summed, bool(interrupted() or late), accelerator)
+            means, stopping = over_processes(summed, interrupted() or run.late, accelerator)
             summed = {}
             log.step(run.step, {**means, "lr": lr}, epoch_steps)
             if run.step % options.val_every and not stopping and run.step < last_step:
@@ -227,6 +227,16 @@ class Run:
     def hours(self) -> float:
         """Of training so far."""
         return self.hours_before + (time.monotonic() - self.started) / 3600
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up, by the clock of this process."""
+        return 0 < self.options.minutes <= 60 * self.hours
+
+    @property
+    def spent(self) -> bool:
+        """Whether the time was up before this run began; all processes agree."""
+        return 0 < self.options.minutes <= 60 * self.hours_before
 
 
 # --- before the loop ---------------------------------------------------------------------------

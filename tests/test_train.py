@@ -148,6 +148,19 @@ def test_minutes_end_a_run_with_a_checkpoint(data, tmp_path):
     assert torch.load(tmp_path / loop.CHECKPOINT, weights_only=True)["step"] == 1
 
 
+def test_minutes_count_the_runs_that_a_run_goes_on_from(data, tmp_path, monkeypatch):
+    """By a clock that goes on by half a minute whenever it is read."""
+    ticks = count(0, 30)
+    monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
+    ends = []
+    for minutes in (1, 3, 3):
+        train.train(training(data, tmp_path, minutes=minutes, max_steps=1000))
+        ends.append(torch.load(tmp_path / loop.CHECKPOINT, weights_only=True))
+    steps, hours = ([end[name] for end in ends] for name in ("step", "hours"))
+    assert steps[0] < steps[1] == steps[2]
+    assert 3 <= 60 * hours[1] == 60 * hours[2] < 5
+
+
 def test_a_gradient_that_is_not_finite_spares_weights_and_checkpoint(data, tmp_path, monkeypatch):
     train.train(training(data, tmp_path, max_steps=1))
     before = (tmp_path / "last.safetensors").read_bytes()
@@ -199,8 +212,8 @@ def test_weights_know_the_hours_of_all_their_runs(data, tmp_path, monkeypatch):
     ticks = count(0, 1800)
     monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
     hours = []
-    for _ in range(2):  # each stops after one step
-        train.train(training(data, tmp_path / "first", max_steps=3, minutes=1))
+    for minutes in (1, 240):  # each stops after one step
+        train.train(training(data, tmp_path / "first", max_steps=3, minutes=minutes))
         hours.append(load_weights(tmp_path / "first" / "last.safetensors")[1].hours)
     assert 0.5 <= hours[0] < hours[1]
     given = str(tmp_path / "first" / "last.safetensors")
