@@ -187,11 +187,10 @@ def shown(scores: Sequence[Score], translation: str) -> Table:
     figures = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg", "vertical_flow_px")
     heads = ("pitch [°]", "yaw [°]", "roll [°]", "geodesic [°]", "vertical flow [px]", "failures")
     table = Table("", *map(escape, heads), title=f"t = {translation}: mean / median")
-    for (method, t), group in tables.grouped(scores).items():
-        if t == translation:
-            found = (tables.summary(group, f) for f in figures)
-            cells = ["–" if s is None else f"{s.mean:.3f} / {s.median:.3f}" for s in found]
-            table.add_row(method, *cells, str(tables.failures(group)))
+    for method, group in tables.groups_of(scores, translation).items():
+        found = (tables.summary(group, f) for f in figures)
+        cells = ["–" if s is None else f"{s.mean:.3f} / {s.median:.3f}" for s in found]
+        table.add_row(method, *cells, str(tables.failures(group)))
     return table
 
 

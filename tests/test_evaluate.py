@@ -172,6 +172,28 @@ def test_a_method_that_takes_too_long_is_stopped_and_the_run_goes_on(wall, tmp_p
         assert row.failure == "took longer than 0.01 s and was stopped"
 
 
+def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):
+    pairs = delivery(data).open(None)
+    T = pairs[0].input.T_right_left
+    half = {("half", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))}}
+    found = [s for of_pair in scored(pairs, half, ("gt",), matchers={}, matched=())
+             for s in of_pair]  # fmt: skip
+    mark = f"half (1 of {len(pairs)} pairs)"
+    text = document(found, {}, {"half": "96×48"}, "", ("gt",))
+    assert text.count(f"| {mark} |") == 3  # the table, by weather and by daylight
+    assert f"| {mark} | 96×48 |" in text
+    assert "| truth |" in text  # complete: no mark
+    assert mark in command.shown(found, "gt").columns[0]._cells
+
+
+def test_offsets_name_their_pairs_and_count_those_without_a_match(scores):
+    some = [replace(s, figures=s.figures | {"sift_offset_px": np.nan}) if s.index == 1 else s
+            for s in scores]  # fmt: skip
+    text = document(some, {}, {}, "", ("nominal",))
+    assert "sift offsets are of 2 of the 3 pairs: 0, 1." in text
+    assert re.search(r"\| sift\+5dof \| – \| [\d.]+ / [\d.]+ \(1 without\) \|", text)
+
+
 # --- files
 
 
@@ -221,12 +243,15 @@ def test_a_wild_pose_is_a_failure_and_betters_no_mean(data):
     pairs = delivery(data).open(None)
     turn = Rotation.from_rotvec([0, 150, 0], degrees=True).as_matrix()
     wild = predictions.Prediction(0, "", PoseEstimate(turn, np.array([-0.8, 0, 0])))
-    of_pair = next(scored(pairs, {("m", "gt"): {0: wild}}, ("gt",), matchers={}, matched=()))
-    by_name = {s.method: s for s in of_pair}
+    none = predictions.Prediction(0, "", None, "found nothing")
+    rows = {("m", "gt"): {0: wild}, ("none", "gt"): {0: none}}
+    by_name = {s.method: s for s in next(scored(pairs, rows, ("gt",), matchers={}, matched=()))}
     assert by_name["m"].failure == "its rectified images have nothing in common"
-    figures, left_over = by_name["m"].figures, by_name["unrectified"].figures
-    assert figures["geodesic_deg"] == left_over["geodesic_deg"]
-    assert figures["vertical_flow_px"] > 0
+    figures, left_over = by_name["m"].figures, by_name["none"].figures
+    assert figures["geodesic_deg"] > 140
+    assert figures["yaw_deg"] > 140
+    for name in ("vertical_flow_px", "mae_paper", "disparity_bias_px"):
+        assert 0 < abs(figures[name]) == abs(left_over[name])
 
 
 def test_the_command_writes_tables_of_every_method(data, tmp_path, capsys):

@@ -54,21 +54,17 @@ def write_report(
 
 
 def _lead(scores: Sequence[Score]) -> str:
-    pairs, scenes = len({s.index for s in scores}), len({s.scene for s in scores})
+    pairs, scenes = len(tables.pairs_of(scores)), len({s.scene for s in scores})
     return (
         f'<p class="lead">{pairs} pairs of {scenes} scenes. A pair for which a method failed is '
-        "scored with the prior, and counted. Pixels are those of 512×256 images.</p>"
+        "scored with the prior, and counted; a wild pose keeps its angles. Pixels are those of 512×256 images.</p>"
     )
 
 
 def _table(scores: Sequence[Score], unavailable: dict[str, str], trained: Mapping[str, str]) -> str:
-    cells = tables.columns(tables.figure_names(scores))
-    groups = tables.grouped(scores)
-    rows = [[m, trained.get(m, "–"), *(cell(g) for cell in cells.values())]
-            for (m, _), g in groups.items()]  # fmt: skip
-    rows += [[m, f"no weights: {why}"] for m, why in unavailable.items()]
-    head = ["method", "trained", *(c.replace("\\", "") for c in cells)]
-    return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
+    head, rows = tables.main_rows(scores, scores[0].translation, unavailable, trained)
+    notes = "".join(f"<p>{escape(note)}</p>" for note in tables.offset_notes(scores))
+    return f'<div class="scroll">{table(head, rows, numbers=True)}</div>{notes}'
 
 
 # --- curves ------------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """Second pass: predictions to figures, pair by pair; see CONVENTIONS.md for what each one means.
 
 A pair for which a method failed is scored with the prior, which is what its user is left with, and
-counted: a method cannot better its mean by giving up. Rectified images are 512×256.
+counted. A pose whose rectified images have nothing in common fails, too: it has no figures in
+pixels, and takes the prior's, but its angles stay its own. Rectified images are 512×256.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from flowrect.metrics import (
 )
 from flowrect.sample import Batch, Image, collate
 
+ANGLES = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg")
 TRUTH, UNRECTIFIED = "truth", "unrectified"
 BIAS_EVERY = 31
 """every so many-th left pixel is enough for a bias, which is smooth"""
@@ -110,14 +112,15 @@ def _scored(
     translation: Translation,
     look: Mapping[str, Matcher],
 ) -> tuple[dict[str, float], str]:
-    """Figures, and why they are the prior's if they are."""
+    """Figures, and why they, or those in pixels, are the prior's if they are."""
     as_it_is = row.estimate is nominal
     if row.estimate is None:
         return _figures(batch, nominal, translation, look), row.failure
     figures = _figures(batch, row.estimate, translation, look, as_it_is=as_it_is)
     if batch.truth is not None and np.isnan(figures["vertical_flow_px"]):
-        return (_figures(batch, nominal, translation, look),
-                "its rectified images have nothing in common")  # fmt: skip
+        own = {name: figures[name] for name in ANGLES}
+        left_over = _figures(batch, nominal, translation, look) | own
+        return left_over, "its rectified images have nothing in common"
     return figures, ""
 
 
@@ -149,10 +152,9 @@ def _figures(
     exact = rectify(batch.R, batch.t, K_left, K_right, METRIC_WH, K_new=nominal.K_new)
     views = batch.left_metric, batch.right_metric, K_left, K_right
     error = rectified_image_error(*views, one_scale, exact)
-    pitch, yaw, roll = angles_deg(batch.R, R)[0].abs().tolist()
+    angles = *angles_deg(batch.R, R)[0].abs().tolist(), geodesic_deg(batch.R, R).item()
     found = {
-        "pitch_deg": pitch, "yaw_deg": yaw, "roll_deg": roll,
-        "geodesic_deg": geodesic_deg(batch.R, R).item(),
+        **dict(zip(ANGLES, angles, strict=True)),
         "vertical_flow_px": np.nan, "disparity_bias_px": np.nan,
         "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
     }  # fmt: skip

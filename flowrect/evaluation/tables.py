@@ -42,6 +42,21 @@ def summary(scores: Sequence[Score], figure: str, *, signed: bool = False) -> Su
     return summarise(values, [s.scene for s in known], rng=np.random.default_rng(0))
 
 
+def pairs_of(scores: Iterable[Score]) -> set[int]:
+    """Indices of the pairs that have a score."""
+    return {s.index for s in scores}
+
+
+def groups_of(scores: Sequence[Score], translation: str) -> dict[str, list[Score]]:
+    """Scores by method, of one translation; the name of a method says if it lacks pairs."""
+    of = [s for s in scores if s.translation == translation]
+    num = len(pairs_of(of))
+    return {
+        method + (f" ({len(group)} of {num} pairs)" if len(group) < num else ""): group
+        for (method, _), group in grouped(of).items()
+    }
+
+
 def failures(scores: Sequence[Score]) -> int:
     """Pairs without an estimate."""
     return sum(bool(s.failure) for s in scores)
@@ -141,7 +156,7 @@ def columns(names: Sequence[str]) -> dict[str, Cell]:
         "roll [°]": _mean("roll_deg"),
         "geodesic [°]": _mean_and_interval("geodesic_deg"),
         "median [°]": _median("geodesic_deg"),
-        "\\|disparity bias\\| [px]": _mean("disparity_bias_px"),
+        "|disparity bias| [px]": _mean("disparity_bias_px"),
         "failures": _failures,
         "noted": _noted,
     }
@@ -149,7 +164,10 @@ def columns(names: Sequence[str]) -> dict[str, Cell]:
 
 def _both(mean: str, median: str) -> Cell:
     def cell(scores: Sequence[Score]) -> str:
-        return f"{_mean(mean, 2)(scores)} / {_mean(median, 2)(scores)}"
+        without = sum(np.isnan(s.figures.get(mean, 0.0)) for s in scores)
+        return f"{_mean(mean, 2)(scores)} / {_mean(median, 2)(scores)}" + (
+            f" ({without} without)" if without else ""
+        )
 
     return cell
 
@@ -160,20 +178,45 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
+def main_rows(
+    scores: Sequence[Score],
+    translation: str,
+    unavailable: Mapping[str, str],
+    trained: Mapping[str, str],
+) -> tuple[list[str], list[list[str]]]:
+    """Head and rows: all methods of one translation; those that could not run say why."""
+    cells = columns(figure_names(scores))
+    rows = [[m, trained.get(g[0].method, "–"), *(cell(g) for cell in cells.values())]
+            for m, g in groups_of(scores, translation).items()]  # fmt: skip
+    rows += [[m, f"no weights: {why}", *[""] * len(cells)] for m, why in unavailable.items()]
+    return ["method", "trained", *cells], rows
+
+
 def main_table(
     scores: Sequence[Score],
     translation: str,
-    unavailable: dict[str, str],
+    unavailable: Mapping[str, str],
     trained: Mapping[str, str],
 ) -> str:
-    """All methods of one translation; those that could not run say why."""
-    cells = columns(figure_names(scores))
-    groups = {m: g for (m, t), g in grouped(scores).items() if t == translation}
-    rows = [[m, trained.get(m, "–"), *(cell(g) for cell in cells.values())]
-            for m, g in groups.items()]  # fmt: skip
-    rows += [[m, "no weights: " + why.replace("|", "/"), *[""] * len(cells)]
-             for m, why in unavailable.items()]  # fmt: skip
-    return markdown(["method", "trained", *cells], rows)
+    """``main_rows`` in Markdown."""
+    head, rows = main_rows(scores, translation, unavailable, trained)
+    escaped = ([c.replace("|", "\\|") for c in line] for line in [head, *rows])
+    return markdown(next(escaped), escaped)
+
+
+def offset_notes(scores: Sequence[Score]) -> list[str]:
+    """Which pairs the offsets of each matcher are of."""
+    total, notes = len(pairs_of(scores)), []
+    for name in figure_names(scores):
+        if name.endswith("_offset_px"):
+            matched = sorted(pairs_of(s for s in scores if name in s.figures))
+            which = "" if len(matched) == total else f": {', '.join(map(str, matched))}"
+            notes.append(
+                f"{name.removesuffix('_offset_px')} offsets are of {len(matched)} of the {total} "
+                f"pairs{which}. A pair without any match after rectification is in no mean; how "
+                "many there are stands in brackets."
+            )
+    return notes
 
 
 STRATA: dict[str, Callable[[Score], str]] = {
@@ -185,11 +228,10 @@ STRATA: dict[str, Callable[[Score], str]] = {
 def stratum_table(scores: Sequence[Score], translation: str, by: str) -> str:
     """Median vertical flow [px] / median geodesic error [°] (failures) of each stratum."""
     key = STRATA[by]
-    groups = {m: g for (m, t), g in grouped(scores).items() if t == translation}
     names = sorted({key(s) for s in scores if key(s)})
-    num = {n: len({s.index for s in scores if key(s) == n}) for n in names}
+    num = {n: len(pairs_of(s for s in scores if key(s) == n)) for n in names}
     rows = []
-    for method, group in groups.items():
+    for method, group in groups_of(scores, translation).items():
         row = [method]
         for name in names:
             part = [s for s in group if key(s) == name]
@@ -208,15 +250,17 @@ def document(
     translations: Sequence[str],
 ) -> str:
     """The whole of tables.md."""
-    pairs, scenes = len({s.index for s in scores}), len({s.scene for s in scores})
+    pairs, scenes = len(pairs_of(scores)), len({s.scene for s in scores})
     parts = [
         f"# {title}\n",
         f"{pairs} pairs of {scenes} scenes. Means, with 95 % bootstrap intervals over scenes. A "
-        "pair for which a method failed is scored with the prior, and counted under failures; "
+        "pair for which a method failed is scored with the prior, and counted under failures; a "
+        "pose whose rectified images have nothing in common is a failure that keeps its angles; "
         "under noted those that the method itself doubts, or where matches did not suffice to "
         "refine what a network said. "
         "Figures in pixels are of 512x256 images. Networks see the pair at the size they were "
         "trained at; the hours are those of their training, where they are known.\n",
+        *(f"{line}\n" for line in offset_notes(scores)),
     ]
     for translation in translations:
         what = (
