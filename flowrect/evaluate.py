@@ -12,8 +12,9 @@ by weather and daylight, ``report.html`` pictures of all of it.
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,11 +32,12 @@ from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
-from flowrect.files import make_folder
+from flowrect.files import make_folder, read_json
 from flowrect.matchers import load_matcher
 from flowrect.matches import Matcher
-from flowrect.methods import METHODS, training_of
+from flowrect.methods import METHODS, TABLE, training_of
 from simgen.errors import UserError
+from simgen.shards import write_atomically
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,9 @@ class EvaluateOptions:
     data: Path
     """a set of simgen, or rectified real pairs with --turn-deg: a folder with left/, right/ and
     calib.yaml, KITTI raw, or a list"""
-    methods: tuple[str, ...] = ("network", "sift+loransac", "sift+5dof", "dis+5dof", "network+5dof")
-    """names, or network=FILE for a network of flowrect.train"""
+    methods: tuple[str, ...] = TABLE
+    """names, or network=FILE for a network of flowrect.train, be it ours, an ablation of it or a
+    rival. Without this all rows of the paper's tables, and ours: hours for a few hundred pairs"""
     translations: tuple[Translation, ...] = ("gt", "nominal")
     """t that methods are given: gt as in the paper, though it leaks rotation, or the nominal one,
     which is what a user has. With gt all are scored with the true t, else with their own"""
@@ -83,16 +86,25 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
     with _Progress(console, "predicting") as report:
-        unavailable = predict(run, report)
-    for method, reason in unavailable.items():
+        left_out = predict(run, report)
+    for method, reason in left_out.items():
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
     rows = predictions_of(options.out, delivery.open().fingerprint)
+    unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
     scores = _scored(delivery.open(truth_points=None), rows, matchers, options, console)
-    trained = {m: training_of(m) for m in options.methods if m not in unavailable}
+    trained = {m: training_of(m) for m, _ in rows}
     _write(options, scores, unavailable, trained)
     report_path = options.out / "report.html"
     write_report(report_path, scores, rows, delivery.open(), unavailable, trained)
     return scores
+
+
+def _kept(path: Path, left_out: dict[str, str], there: Collection[str]) -> dict[str, str]:
+    """Methods that could not run, with those of earlier calls, but for any that can now."""
+    known = (read_json(path) if path.exists() else {}) | left_out
+    kept = {method: why for method, why in known.items() if method not in there}
+    write_atomically(path, json.dumps(kept, indent=1).encode())
+    return kept
 
 
 def _scored(

@@ -21,7 +21,7 @@ from typing import Protocol
 import numpy as np
 
 from flowrect.estimate import Calibrator, load_model
-from flowrect.matchers import MATCHERS, load_matcher
+from flowrect.matchers import LEARNED, MATCHERS, load_matcher
 from flowrect.matches import Matches
 from flowrect.rivals.config import RIVALS
 from flowrect.sample import Image
@@ -176,6 +176,18 @@ METHODS: dict[str, Callable[[], Method]] = {
     **{f"{m}+{s}": partial(FromMatches, m, SOLVERS[s]) for m in MATCHERS for s in SOLVERS},
 }
 """made when they are asked for: some take weights"""
+
+TABLE = (
+    *(f"sift{at}+{s}{at}" for at in ("-paper", "") for s in ("loransac", "magsac")),
+    "sift+5dof",
+    *(f"{m}+{s}" for m in LEARNED if m != "raft" for s in ("loransac", "magsac", "5dof")),
+    "dis+5dof",
+    "raft+5dof",
+    *RIVALS,
+    "network",
+    "network+5dof",
+)  # fmt: skip
+"""the rows of the paper's tables, and ours"""
 
 
 def load_method(name: str) -> Method:

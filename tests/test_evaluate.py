@@ -25,7 +25,7 @@ from flowrect.evaluation.predictions import Origin
 from flowrect.evaluation.scores import Score, scored
 from flowrect.evaluation.tables import document, main_table
 from flowrect.formats import opencv
-from flowrect.methods import PoseEstimate
+from flowrect.methods import METHODS, TABLE, PoseEstimate
 from flowrect.rectify import write_rgb
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
@@ -298,6 +298,46 @@ def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
                  "--split", "all", "--matched-pairs", "0", "--out", str(out)]  # fmt: skip
     assert main(arguments) == 0
     assert "no weights" in (out / "tables.md").read_text()
+
+
+def test_rows_of_earlier_calls_stay_in_the_tables(data, tmp_path):
+    save_weights(tmp_path / "w.safetensors", network(TINY_PAPER), Card(preset="custom", hours=1.5))
+    trained = f"network={tmp_path / 'w.safetensors'}"
+    for methods in (["superglue+loransac", trained], ["sift+5dof"]):
+        arguments = ["--data", str(data), "--methods", *methods, "--size", "96x48", "--limit", "1",
+                     "--split", "all", "--matched-pairs", "0", "--translations", "gt",
+                     "--out", str(tmp_path)]  # fmt: skip
+        assert main(arguments) == 0
+    text = (tmp_path / "tables.md").read_text()
+    assert "| superglue+loransac | no weights" in text
+    assert f"| {trained} | {TINY_PAPER.input_wh[0]}×{TINY_PAPER.input_wh[1]}, 1.5 h |" in text
+
+
+def test_predictions_whose_weights_are_gone_are_named(data, tmp_path, capsys):
+    path = tmp_path / "predictions" / "old.gt.h5"
+    fingerprint = delivery(data).open().fingerprint
+    predictions.write(path, [], Origin("network=gone.safetensors", "gt", fingerprint, "1"))
+    arguments = ["--data", str(data), "--methods", "sift+5dof", "--size", "96x48",
+                 "--split", "all", "--out", str(tmp_path)]  # fmt: skip
+    assert main(arguments) == 2
+    assert re.search(r"old\.gt\.h5: predictions of network=gone.*Put them\s+back, or delete",
+                     capsys.readouterr().err)  # fmt: skip
+
+
+def test_shipped_weights_of_a_rival_are_part_of_its_stamp(tmp_path, monkeypatch):
+    monkeypatch.setattr(stamp, "SHIPPED", tmp_path)
+    before = stamp.of_method.__wrapped__("rpnet")
+    (tmp_path / "rpnet.safetensors").write_bytes(b"weights")
+    assert stamp.of_method.__wrapped__("rpnet") != before == stamp.of_method("vitpose")
+
+
+def test_the_default_is_the_whole_table():
+    methods = EvaluateOptions(Path()).methods
+    assert methods == TABLE
+    assert set(TABLE) <= set(METHODS)
+    for row in ("sift-paper+loransac-paper", "superglue+magsac", "aliked+5dof", "raft+5dof",
+                "rpnet", "directionnet", "vitpose", "network+5dof"):  # fmt: skip
+        assert row in methods
 
 
 def test_a_path_of_weights_may_have_a_plus(tmp_path):

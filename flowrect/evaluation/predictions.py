@@ -137,6 +137,16 @@ def _row(i: int, arrays: dict[str, Array], texts: dict[str, list[str]]) -> Predi
     return Prediction(index, name, estimate)
 
 
+def _present_stamp(path: Path, origin: Origin) -> str:
+    try:
+        return of_method(origin.method)
+    except UserError as error:
+        raise UserError(
+            f"{path}: predictions of {origin.method}, whose weights are gone ({error}) Put them "
+            "back, or delete this file: its row leaves the tables."
+        ) from error
+
+
 def predictions_of(folder: Path, data: str) -> dict[tuple[str, str], dict[int, Prediction]]:
     """All predictions in a results folder that are of these pairs: by method and t, by pair.
 
@@ -146,7 +156,7 @@ def predictions_of(folder: Path, data: str) -> dict[tuple[str, str], dict[int, P
     origins = {path: origin_of(path) for path in files}
     return {
         (origin.method, origin.translation): {
-            r.index: r for r in read(path, replace(origin, stamp=of_method(origin.method)))
+            r.index: r for r in read(path, replace(origin, stamp=_present_stamp(path, origin)))
         }
         for path, origin in origins.items()
         if origin.data == data

@@ -13,12 +13,15 @@ from functools import cache
 from pathlib import Path
 
 from flowrect.methods import network_of
-from flowrect.weights import find_weights
+from flowrect.rivals.config import RIVALS
+from flowrect.weights import SHIPPED, find_weights
 
 _PACKAGE = Path(__file__).parents[1]
-_MATCHING = ("matches.py", "matchers")
+_MATCHING = ("matches.py", "matchers", "flow_network.py", "sample.py", "resize.py", "turn.py",
+             "evaluation/delivered.py")  # fmt: skip
+"""matchers, and what hands them their images"""
 _METHODS = (*_MATCHING, "solvers", "rivals", "methods.py", "estimate.py", "model.py", "weights.py",
-            "resize.py", "drectify.py", "geometry.py", "least_squares.py")  # fmt: skip
+            "drectify.py", "geometry.py", "least_squares.py")  # fmt: skip
 
 
 @cache
@@ -29,10 +32,16 @@ def of_matchers() -> str:
 
 @cache
 def of_method(name: str) -> str:
-    """Of everything that decides what a method says; the weights of a network included."""
-    with_network = name.startswith("network")
-    weights = [find_weights(network_of(name)[0])] if with_network else []
-    return _digest([*_sources(_METHODS), *weights])
+    """Of everything that decides what a method says; UserError if its weights are gone."""
+    return _digest([*_sources(_METHODS), *weights_of(name)])
+
+
+def weights_of(name: str) -> list[Path]:
+    """The file of a network that was trained for the task; none where none is shipped."""
+    if name.startswith("network"):
+        return [find_weights(network_of(name)[0])]
+    path = SHIPPED / f"{name}.safetensors"
+    return [path] if name in RIVALS and path.is_file() else []
 
 
 def _sources(names: Iterable[str]) -> list[Path]:
