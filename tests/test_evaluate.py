@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
+from odd_methods import SAID, load_odd
 from test_rectify import K, photograph
 from tiny_network import TINY_PAPER, network, road_set
 
@@ -162,14 +163,19 @@ def test_shuffled_right_images_are_failures_and_not_plausible_numbers(wall, tmp_
             )
 
 
-def test_a_method_that_takes_too_long_is_stopped_and_the_run_goes_on(wall, tmp_path):
-    run = Run(Delivery(wall, "all", (256, 128), 1, 1.0), ("sift+5dof", "dis+5dof"), ("gt",),
-              tmp_path, time_limit_s=0.01)  # fmt: skip
-    assert predict(run) == {}
-    for method in run.methods:
-        (row,) = rows_of(run, method)
-        assert row.estimate is None
-        assert row.failure == "took longer than 0.01 s and was stopped"
+def test_whatever_a_method_does_to_one_pair_the_others_are_predicted(wall, tmp_path):
+    shutil.copytree(wall, tmp_path / "wall")
+    write_rgb(tmp_path / "wall" / "left" / "b.png", np.zeros((240, 400, 3), np.uint8))
+    run = Run(Delivery(tmp_path / "wall", "all", (256, 128), 0, 1.0), (*SAID, "broken"), ("gt",), tmp_path,
+              time_limit_s=2)  # fmt: skip
+    assert predict(run, load=load_odd) == {"broken": "it cannot be loaded: ImportError: no such"}
+    for method, said in SAID.items():
+        before, odd, after = rows_of(run, method)
+        assert before.estimate is not None
+        assert after.estimate is not None
+        assert odd.estimate is None
+        assert re.search(said, odd.failure)
+    assert not run.path("broken", "gt").exists()
 
 
 def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):

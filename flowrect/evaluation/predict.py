@@ -80,7 +80,13 @@ Report = Callable[[int, int], None]
 """called with tasks done, and of all"""
 
 
-def predict(run: Run, report: Report = lambda done, of: None) -> dict[str, str]:
+Load = Callable[[str], Method]
+"""makes a method of its name, in the process that runs it: a function of some module"""
+
+
+def predict(
+    run: Run, report: Report = lambda done, of: None, load: Load = load_method
+) -> dict[str, str]:
     """Predicts what is missing; returns why methods that cannot run here cannot."""
     pairs = run.delivery.open()
     files = _files(run, pairs.fingerprint)
@@ -90,7 +96,7 @@ def predict(run: Run, report: Report = lambda done, of: None) -> dict[str, str]:
     report(done, of)
     written = time.monotonic()
     try:
-        for file, row in _predicted(run, pairs.fingerprint, todo, unavailable):
+        for file, row in _predicted(run, pairs.fingerprint, todo, unavailable, load):
             file.rows[row.index] = row
             done += 1
             report(done, of)
@@ -121,7 +127,7 @@ def _flush(files: Sequence[_File]) -> None:
 
 
 def _predicted(
-    run: Run, data: str, todo: Sequence[tuple[int, _File]], unavailable: dict[str, str]
+    run: Run, data: str, todo: Sequence[tuple[int, _File]], unavailable: dict[str, str], load: Load
 ) -> Iterator[tuple[_File, Prediction]]:
     """Predictions as they come; pair by pair, so that each pair is read once."""
     folder = run.out / "matches" / data
@@ -132,7 +138,7 @@ def _predicted(
             while queue and len(running) < run.jobs:
                 i, file = queue.popleft()
                 if file.method not in unavailable:
-                    args = (run.delivery, file.method, file.translation, i, folder)
+                    args = (load, run.delivery, file.method, file.translation, i, folder)
                     future = pool.schedule(_predict_one, args=args, timeout=run.time_limit_s)
                     running.append((future, i, file))
             if running:
@@ -159,15 +165,17 @@ def _settled(future: Any, i: int, time_limit_s: float) -> Prediction | str:
 
 
 def _predict_one(
-    delivery: Delivery, name: str, translation: Translation, i: int, folder: Path
+    load: Load, delivery: Delivery, name: str, translation: Translation, i: int, folder: Path
 ) -> Prediction | str:
-    """One method on one pair; a text if the method cannot run here, for want of weights."""
+    """One method on one pair; a text if the method cannot be loaded here: it may want weights."""
     prepared = _pair(delivery, i)
     pair = prepared.input
     try:
-        method = _method(name)
+        method = _method(load, name)
     except UserError as error:
         return str(error)
+    except Exception as error:  # a broken package, a damaged file: it costs that method only
+        return f"it cannot be loaded: {type(error).__name__}: {error}"
     try:
         estimate = _estimated(method, pair, prior(pair, translation), folder, i)
         _require_pose(estimate)
@@ -210,8 +218,8 @@ def _pair(delivery: Delivery, i: int) -> Prepared:
 
 
 @cache
-def _method(name: str) -> Method:
-    method = load_method(name)
+def _method(load: Load, name: str) -> Method:
+    method = load(name)
     if isinstance(method, FromMatches):
         load_matcher(method.matcher)  # says now if its weights are missing
     return method
