@@ -5,7 +5,8 @@ scored. The same pairs, size, intrinsics and prior for all. What is there alread
 again, so the same command goes on after an interruption, and other ``--methods`` join those that
 are in the folder.
 
-OUT/predictions/METHOD.T.h5 holds the predictions, ``scores.csv`` the figures of every pair,
+OUT/predictions/METHOD.T.h5 holds the predictions, OUT/matches and OUT/offsets what was matched for
+them and after them, ``scores.csv`` the figures of every pair,
 ``summary.csv`` their means, medians and intervals, ``tables.md`` the paper's Table 2 and the same
 by weather and daylight, ``report.html`` pictures of all of it.
 """
@@ -28,13 +29,13 @@ from rich.table import Table
 
 from flowrect.evaluation import tables
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation, evenly
+from flowrect.evaluation.offsets import Offsets
 from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
 from flowrect.files import make_folder, read_json
 from flowrect.matchers import load_matcher
-from flowrect.matches import Matcher
 from flowrect.methods import METHODS, TABLE, training_of
 from simgen.errors import UserError
 from simgen.shards import write_atomically
@@ -78,7 +79,7 @@ class EvaluateOptions:
 def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     """Predicts what is missing, scores everything, and writes the files."""
     _require_sensible(options)
-    matchers = _offset_matchers(options.offsets)
+    matchers = _offset_matchers(options.offsets, options.out)
     make_folder(options.out)
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
@@ -110,7 +111,7 @@ def _kept(path: Path, left_out: dict[str, str], there: Collection[str]) -> dict[
 def _scored(
     pairs: Delivered,
     rows: Rows,
-    matchers: Mapping[str, Matcher],
+    matchers: Mapping[str, Offsets],
     options: EvaluateOptions,
     console: Console,
 ) -> list[Score]:
@@ -138,9 +139,11 @@ def _write(
     (out / "tables.md").write_text(text, encoding="utf-8")
 
 
-def _offset_matchers(names: Sequence[str]) -> dict[str, Matcher]:
+def _offset_matchers(names: Sequence[str], out: Path) -> dict[str, Offsets]:
     """The matchers that measure what is left, by the names of their columns."""
-    matchers = {name.removesuffix("-paper"): load_matcher(name) for name in names}
+    matchers = {name.removesuffix("-paper"):
+                Offsets(out / "offsets" / f"{name}.jsonl", load_matcher(name))
+                for name in names}  # fmt: skip
     if len(matchers) < len(names):
         raise UserError(
             f"--offsets {' '.join(names)}: settings of one matcher share a column; ask for one."

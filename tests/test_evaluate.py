@@ -21,11 +21,13 @@ from flowrect.calibration import Calibration
 from flowrect.evaluate import EvaluateOptions, evaluate, main
 from flowrect.evaluation import predictions, stamp
 from flowrect.evaluation.delivered import Delivery, prior
+from flowrect.evaluation.offsets import Offset, Offsets
 from flowrect.evaluation.predict import FAULT, Run, _matches, predict
 from flowrect.evaluation.predictions import Origin
 from flowrect.evaluation.scores import Score, scored
 from flowrect.evaluation.tables import document, main_table
 from flowrect.formats import opencv
+from flowrect.matches import Matches
 from flowrect.methods import METHODS, TABLE, PoseEstimate
 from flowrect.rectify import write_rgb
 from flowrect.weights import Card, save_weights
@@ -128,6 +130,28 @@ def test_offsets_of_matches_shrink_and_are_measured_on_the_pairs_that_were_chose
     before, after = (of(scores, m, "sift_offset_median_px") for m in ("unrectified", "dis+5dof"))
     assert np.isfinite(before).sum() == 1
     assert np.nanmax(after) < 0.3 < np.nanmax(before)
+
+
+def test_images_that_were_matched_are_not_matched_again(tmp_path):
+    calls = []
+
+    def match(left: Array, right: Array) -> Matches:
+        calls.append(1)
+        return Matches(
+            np.zeros((3, 2))[: len(left)], np.array([[9.0, 1], [9, 2], [9, 6]])[: len(left)]
+        )
+
+    path, images = tmp_path / "o" / "m.jsonl", np.zeros((2, 4, 4, 3), np.uint8)
+    first = Offsets(path, match)
+    assert first.of(*images, vertical=False) == Offset(3.0, 2.0)
+    assert first.of(*images, vertical=False) == Offset(3.0, 2.0)
+    path.write_text(path.read_text() + '\n{"key": "cut of')
+    for _ in range(2):  # what follows a line that was cut off is read again
+        later = Offsets(path, match)
+        assert later.of(*images, vertical=False) == Offset(3.0, 2.0)
+        assert later.of(*images, vertical=True) == Offset(9.0, 9.0)
+        assert np.isnan(later.of(*images[:, :0], vertical=False).mean_px)
+    assert len(calls) == 3
 
 
 # --- failures

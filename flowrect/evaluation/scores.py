@@ -16,8 +16,8 @@ from torch import Tensor
 
 from flowrect.drectify import Rectification, rectify, warp
 from flowrect.evaluation.delivered import Delivered, Translation, prior
+from flowrect.evaluation.offsets import Offsets
 from flowrect.evaluation.predictions import Prediction
-from flowrect.matches import Matcher
 from flowrect.methods import PoseEstimate
 from flowrect.metrics import (
     METRIC_WH,
@@ -34,11 +34,6 @@ ANGLES = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg")
 TRUTH, UNRECTIFIED = "truth", "unrectified"
 BIAS_EVERY = 31
 """every so many-th left pixel is enough for a bias, which is smooth"""
-MATCH_FIGURES = {
-    "offset_px": "mean |dy| of all matches in the rectified pair, as the paper has it",
-    "offset_median_px": "its median",
-}
-"""of the pairs that are also matched after rectification, for each matcher that is asked for"""
 
 
 @dataclass(frozen=True)
@@ -70,13 +65,13 @@ def scored(
     rows: Rows,
     translations: Sequence[Translation],
     *,
-    matchers: Mapping[str, Matcher],
+    matchers: Mapping[str, Offsets],
     matched: Sequence[int],
 ) -> Iterator[list[Score]]:
     """Scores of all methods, pair by pair.
 
     Args:
-      matchers: by name, that measure what is left between rectified images.
+      matchers: by the name of their columns; they measure what is left between rectified images.
       matched: indices of the pairs for which they do.
     """
     for i in range(len(pairs)):
@@ -110,7 +105,7 @@ def _scored(
     row: Prediction,
     nominal: PoseEstimate,
     translation: Translation,
-    look: Mapping[str, Matcher],
+    look: Mapping[str, Offsets],
 ) -> tuple[dict[str, float], str]:
     """Figures, and why they, or those in pixels, are the prior's if they are."""
     as_it_is = row.estimate is nominal
@@ -133,7 +128,7 @@ def _figures(
     batch: Batch,
     estimate: PoseEstimate,
     translation: Translation,
-    matchers: Mapping[str, Matcher],
+    matchers: Mapping[str, Offsets],
     *,
     as_it_is: bool = False,
 ) -> dict[str, float]:
@@ -171,9 +166,10 @@ def _figures(
         )
     if not matchers:
         return found
-    shown = views[:2] if as_it_is else _views(batch, rect)
+    left, right = (_image(x) for x in (views[:2] if as_it_is else _views(batch, rect)))
     for name, matcher in matchers.items():
-        found |= _offsets(name, matcher, shown, bool(nominal.vertical))
+        offset = matcher.of(left, right, vertical=bool(nominal.vertical))
+        found |= {f"{name}_offset_px": offset.mean_px, f"{name}_offset_median_px": offset.median_px}
     return found
 
 
@@ -186,18 +182,6 @@ def _views(batch: Batch, rect: Rectification) -> tuple[Tensor, Tensor]:
     left, _ = warp(batch.left_metric, batch.K_left_metric, rect.R_left, rect.K_new, METRIC_WH)
     right, _ = warp(batch.right_metric, batch.K_right_metric, rect.R_right, rect.K_new, METRIC_WH)
     return left, right
-
-
-def _offsets(
-    name: str, matcher: Matcher, shown: tuple[Tensor, Tensor], vertical: bool
-) -> dict[str, float]:
-    """Mean and median |dy| of matches (|dx| of a vertical rig); NaN if there are none."""
-    matches = matcher(*(_image(x) for x in shown))
-    across = np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1])
-    if not len(across):
-        return {f"{name}_{key}": np.nan for key in MATCH_FIGURES}
-    figures = float(across.mean()), float(np.median(across))
-    return {f"{name}_{key}": x for key, x in zip(MATCH_FIGURES, figures, strict=True)}
 
 
 def _image(x: Tensor) -> Image:
