@@ -86,7 +86,9 @@ class Calibrator:
                 batch.t_nominal,
             )  # fmt: skip
         correction = angles_per_axis_rad(prediction.R, batch.R_nominal)[0].rad2deg().numpy()
-        notes = (*_texture_notes(batch.left, batch.right), *self._range_notes(correction))
+        probability = _match_probability(prediction)
+        notes = (*_texture_notes(batch.left, batch.right), *self._range_notes(correction),
+                 *self.match_notes(probability))  # fmt: skip
         for note in notes:
             warnings.warn(note, stacklevel=2)
         R, t = prediction.R[0].numpy(), pair.T_right_left_nominal[:3, 3]
@@ -95,9 +97,19 @@ class Calibrator:
             R=R,
             t=t,
             correction_deg=correction,
-            match_probability=_match_probability(prediction),
+            match_probability=probability,
             notes=notes,
         )
+
+    def match_notes(self, probability: float | None) -> list[str]:
+        """Whether a pair matches so little that its rotation is a guess; empty if it does not."""
+        least = self.card.least_match_probability
+        if probability is None or probability >= least:
+            return []
+        return [
+            f"the images hardly match: the most probable matches have {probability:.3f} on "
+            f"average, expected at least {least:g}. Do both show the same scene?"
+        ]
 
     def _range_notes(self, correction_deg: Array) -> list[str]:
         limit = np.asarray(self.card.prior_range_deg)

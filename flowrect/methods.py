@@ -87,7 +87,11 @@ def unrectified(
 
 @dataclass(frozen=True)
 class Network:
-    """A trained network alone, whichever it is; t is the prior's."""
+    """A trained network alone, whichever it is; t is the prior's.
+
+    It has an answer to any two images. Where its own matches say that these hardly show one scene,
+    that is no solution: a vehicle is better off with the calibration that it has.
+    """
 
     model: Calibrator
 
@@ -98,6 +102,8 @@ class Network:
         with seconds.of("network"), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are in the notes
             estimate = self.model.estimate(left, right, K_left, K_right, prior)
+        if doubts := self.model.match_notes(estimate.match_probability):
+            raise NoSolution(doubts[0])
         return PoseEstimate(estimate.R, estimate.t, seconds=seconds, notes=estimate.notes)
 
 

@@ -60,6 +60,9 @@ class Card:
     """how images were fitted to the input, see flowrect.resize.Sizing"""
     keep: float = 1.0
     """share of the window that was kept"""
+    least_match_probability: float = 0.0
+    """mean probability of the most probable matches below which two images hardly show one scene,
+    measured on pairs and on mixed ones; 0: nobody measured it"""
 
 
 def save_weights(path: Path, model: PoseNetwork, card: Card) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from odd_methods import SAID, load_odd
 from rich.console import Console
 from scipy.spatial.transform import Rotation
-from odd_methods import SAID, load_odd
 from test_rectify import K, photograph
 from tiny_network import TINY_PAPER, network, road_set
 
@@ -28,13 +28,15 @@ from flowrect.evaluation.scores import Score, scored
 from flowrect.evaluation.tables import document, main_table
 from flowrect.formats import opencv
 from flowrect.matches import Matches
-from flowrect.methods import METHODS, TABLE, PoseEstimate
+from flowrect.methods import METHODS, TABLE, PoseEstimate, load_method
 from flowrect.rectify import write_rgb
+from flowrect.solvers import NoSolution
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
 WALL_WH = (400, 200)
+K_SMALL = np.array([[128.0, 0, 127.5], [0, 128.0, 63.5], [0, 0, 1]])
 QUIET = Console(quiet=True)
 
 
@@ -187,11 +189,21 @@ def test_shuffled_right_images_are_failures_and_not_plausible_numbers(wall, tmp_
             )
 
 
+@pytest.mark.parametrize("name", ["network", "network+5dof"])
+def test_a_network_has_no_solution_for_images_that_hardly_match(name):
+    left, right = (
+        np.random.default_rng(s).integers(0, 256, (128, 256, 3), np.uint8) for s in (0, 1)
+    )
+    start = transform(np.eye(3), np.array([-0.8, 0.0, 0.0]))
+    with pytest.raises(NoSolution, match="images hardly match: the most probable matches have 0"):
+        load_method(name)(left, right, K_SMALL, K_SMALL, start)
+
+
 def test_whatever_a_method_does_to_one_pair_the_others_are_predicted(wall, tmp_path):
     shutil.copytree(wall, tmp_path / "wall")
     write_rgb(tmp_path / "wall" / "left" / "b.png", np.zeros((240, 400, 3), np.uint8))
-    run = Run(Delivery(tmp_path / "wall", "all", (256, 128), 0, 1.0), (*SAID, "broken"), ("gt",), tmp_path,
-              time_limit_s=2)  # fmt: skip
+    run = Run(Delivery(tmp_path / "wall", "all", (256, 128), 0, 1.0), (*SAID, "broken"), ("gt",),
+              tmp_path / "out", time_limit_s=2)  # fmt: skip
     assert predict(run, load=load_odd) == {"broken": "it cannot be loaded: ImportError: no such"}
     for method, said in SAID.items():
         before, odd, after = rows_of(run, method)

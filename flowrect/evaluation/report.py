@@ -57,7 +57,8 @@ def _lead(scores: Sequence[Score]) -> str:
     pairs, scenes = len(tables.pairs_of(scores)), len({s.scene for s in scores})
     return (
         f'<p class="lead">{pairs} pairs of {scenes} scenes. A pair for which a method failed is '
-        "scored with the prior, and counted; a wild pose keeps its angles. Pixels are those of 512×256 images.</p>"
+        "scored with the prior, and counted; a wild pose keeps its angles. "
+        "Pixels are those of 512×256 images.</p>"
     )
 
 
