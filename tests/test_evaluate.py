@@ -228,6 +228,18 @@ def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):
     assert mark in command.shown(found, "gt").columns[0]._cells
 
 
+def test_fog_rain_and_night_have_the_whole_table_of_their_own(scores):
+    foggy = [replace(s, weather="fog" if s.index else "clear") for s in scores]
+    text = document(foggy, {}, {}, "", ("nominal",))
+    whole, part = (
+        text.split(head)[1].split("\n\n")[1] for head in ("ominal)", "fog alone, 2 pairs")
+    )
+    assert part.splitlines()[0] == whole.splitlines()[0]
+    assert len(part.splitlines()) == len(whole.splitlines())
+    assert part != whole
+    assert "rain alone" not in text
+
+
 def test_offsets_name_their_pairs_and_count_those_without_a_match(scores):
     some = [replace(s, figures=s.figures | {"sift_offset_px": np.nan}) if s.index == 1 else s
             for s in scores]  # fmt: skip

@@ -225,6 +225,10 @@ STRATA: dict[str, Callable[[Score], str]] = {
 }
 
 
+HARD = (("weather", "fog"), ("weather", "rain"), ("daylight", "night"))
+"""strata that have the whole table of their own"""
+
+
 def stratum_table(scores: Sequence[Score], translation: str, by: str) -> str:
     """Median vertical flow [px] / median geodesic error [°] (failures) of each stratum."""
     key = STRATA[by]
@@ -275,4 +279,8 @@ def document(
                 f"### by {by}: median vertical flow [px] / median geodesic error [°] (failures)\n",
                 stratum_table(scores, translation, by),
             ]
+        for by, name in HARD:
+            if part := [s for s in scores if STRATA[by](s) == name]:
+                alone = main_table(part, translation, {}, trained)
+                parts += [f"### {name} alone, {len(pairs_of(part))} pairs\n", alone]
     return "\n".join(parts)
