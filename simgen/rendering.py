@@ -12,17 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
-from rich.progress import (
-    Progress as Bar,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
-from simgen import __version__, engine, given_map, run
+from simgen import __version__, engine, given_map, progress, run
 from simgen.config import Job, RenderOptions, resolve
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
@@ -169,11 +161,11 @@ class _Display:
 
     def __init__(self, console: Console, pairs_per_frame: int) -> None:
         self.console, self.pairs = console, pairs_per_frame
-        self.bar = Bar(
+        self.bar = progress.bar(
             TextColumn("rig frames"), BarColumn(), MofNCompleteColumn(),
             TextColumn("{task.fields[pairs]} pairs"),
             TextColumn("{task.fields[pace]}"), TimeRemainingColumn(elapsed_when_finished=True),
-            console=console, disable=not console.is_terminal,
+            console=console,
         )  # fmt: skip
         self.hooks = run.Progress(self._started, self._frame_done, self._note)
         self.total = self.done = self.first = 0
