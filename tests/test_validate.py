@@ -457,6 +457,17 @@ def test_visible_pixels_called_occluded_fail(frame: Frame) -> None:
     assert "occluded_depth" in failed(swap_status(frame, schema.VISIBLE, schema.OCCLUDED))
 
 
+@pytest.mark.parametrize("name", ["flow_status", "flow_status_reverse"])
+def test_one_false_occlusion_to_five_true_ones_fails(frame: Frame, name: str) -> None:
+    """Also on the road, whose next row is nearer, and however few they are of all pixels."""
+    status = frame[name][2]
+    visible = np.flatnonzero(status & schema.VISIBLE)
+    num = np.count_nonzero(status & schema.OCCLUDED) // 5
+    chosen = np.random.default_rng(0).choice(visible, num, replace=False)
+    status.flat[chosen] ^= schema.VISIBLE | schema.OCCLUDED
+    assert "occluded_share" in failed(frame)
+
+
 def test_in_frame_ends_on_the_outer_edge_of_the_last_pixel(frame: Frame) -> None:
     """The convention is −½ ≤ u < W − ½; a status made with 0 ≤ u < W fails."""
     hw = frame["depth"].shape[1:]
