@@ -17,9 +17,9 @@ from simgen.photometric import Estimate
 
 BORDER_PX = 1e-3  # end points this close to the border may be called in or out of frame
 
-# What hides a pixel may be a leaf that the other camera's rays miss, and few pixels are few draws: of
-# 1306 directions of honest frames with so many occluded pixels, at 160x90 and 640x360, at most 0.077
-# of them have nothing in front; of 326 with fewer, 8 exceed 0.1 (all below 300 pixels).
+# What hides a pixel may be a leaf that the other camera's rays miss, and few pixels are few draws:
+# of 1306 directions of honest frames with so many occluded pixels, at 160x90 and 640x360, at most
+# 0.077 of them have nothing in front; of 326 with fewer, 8 exceed 0.1 (all below 300 pixels).
 OCCLUDED_MIN = 400
 
 DECISIVE = 3  # standard errors between an estimate and its limit that decide
