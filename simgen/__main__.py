@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.progress import Progress
 from tyro.conf import Positional
 
+from simgen import progress
 from simgen.config import RenderOptions
 from simgen.errors import UserError
 
@@ -125,8 +125,7 @@ def _render(options: RenderOptions) -> int:
 def _validate(options: ValidateOptions) -> int:
     from simgen.validate import validate_folder
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    with progress.bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("frames", total=None)
         report = validate_folder(
             options.folder, progress=lambda done, of: bar.update(task, completed=done, total=of)

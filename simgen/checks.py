@@ -39,8 +39,8 @@ def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding
         is concerned, and every pixel where comparing is enough.
 
     Returns:
-      Findings. Where an array is malformed or not finite the checks that build on it are left
-      out: the frame has failed already.
+      Findings. Where an array is malformed or not finite, or a pose no rigid motion, the checks
+      that build on it are left out: the frame has failed already.
     """
     findings = [_check_schema(arrays, pairs)]
     if findings[0].passed:
@@ -48,6 +48,8 @@ def check_frame(arrays: Arrays, pairs: Pairs, *, thorough: bool) -> list[Finding
     if not all(f.passed for f in findings):
         return findings
     findings += [*_check_poses(arrays), _check_sky(arrays)]
+    if not all(f.passed for f in findings if f.check == "rotation"):
+        return findings
 
     def of_pair(p: int) -> list[Finding]:
         return _check_pair(arrays, p, *pairs[p].tolist(), thorough=thorough)

@@ -35,7 +35,8 @@ class RenderOptions:
     """Renders a set of stereo pairs with exact ground truth.
 
     What is rendered follows from these options and the seed alone. The same command again resumes;
-    a larger --n continues the set. Any other difference needs another folder.
+    a larger --n continues the set, a smaller one takes nothing away. --split, --workers, --recycle
+    and --force may change from run to run; any other difference needs another folder.
     """
 
     n: int

@@ -42,19 +42,19 @@ def _engine_lines() -> list[str]:
         chosen = engine.choose("auto")
     except UserError as error:
         return [f"variant   none: {error}"]
-    lines = [f"variant   {chosen.variant}"]
-    for path in engine.llvm_candidates():
-        llvm = engine.probe_llvm(path)
-        state = "cannot be loaded" if llvm is None else _llvm_state(llvm, chosen)
-        lines.append(f"LLVM      {path}: {state}")
-    return lines if len(lines) > 1 else [*lines, "LLVM      none found"]
+    used = [chosen.llvm.path] if chosen.llvm else []
+    others = [p for p in engine.llvm_candidates() if p.resolve() not in [u.resolve() for u in used]]
+    lines = [f"LLVM      {path}: {_llvm_state(path, used=path in used)}" for path in used + others]
+    return [f"variant   {chosen.variant}", *(lines or ["LLVM      none found"])]
 
 
-def _llvm_state(llvm: engine.Llvm, chosen: engine.Engine) -> str:
+def _llvm_state(path: Path, *, used: bool) -> str:
+    llvm = engine.probe_llvm(path)
+    if llvm is None:
+        return "cannot be loaded"
     number = engine.version_text(llvm.version)
     if not llvm.usable:
         return f"{number}, too old (it would abort the process): never loaded"
-    used = chosen.llvm is not None and chosen.llvm.path == llvm.path
     return f"{number}, {'in use' if used else 'usable'}"
 
 

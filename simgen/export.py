@@ -95,7 +95,7 @@ def write_nominal_rig(path: Path, frame: Frame, p: int) -> Path:
 
 def _render_again(job: Job, frame: Frame) -> list[NDArray[np.float32]]:
     index, attempt = int(frame.spec["frame_index"]), int(frame.spec["attempt"])
-    engine.activate(engine.choose(job.variant))
+    engine.activate(_engine_of(job.variant))
     from simgen import produce
 
     watch = produce.Stopwatch()
@@ -103,6 +103,17 @@ def _render_again(job: Job, frame: Frame) -> list[NDArray[np.float32]]:
     _require_same(frame, frame_plan.spec.to_json(), frame_plan.posed.cameras)
     loaded, sky = produce.load(frame_plan, job, watch)
     return produce.radiance(frame_plan, job, loaded, sky, watch)
+
+
+def _engine_of(variant: str) -> engine.Engine:
+    """What the set was rendered with; UserError where it cannot be had here."""
+    if variant == "llvm_ad_rgb" and engine.find_llvm() is None:
+        raise UserError(
+            f"the set was rendered with {variant}, and so must be its radiance, but no libLLVM "
+            f"{engine.MIN_LLVM} or newer was found on this system. Run "
+            f'"{engine.install_hint()}", or set {engine.LLVM_PATH_VARIABLE}.'
+        )
+    return engine.choose(variant)
 
 
 def _require_same(frame: Frame, spec: dict[str, Any], cameras: Sequence[Camera]) -> None:

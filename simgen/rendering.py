@@ -12,17 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
-from rich.progress import (
-    Progress as Bar,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
-from simgen import __version__, engine, given_map, run
+from simgen import __version__, engine, given_map, progress, run
 from simgen.config import Job, RenderOptions, resolve
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
@@ -43,6 +35,8 @@ _SECONDS_FIXED = 7.0
 _SECONDS_PER_CAMERA_MEGAPIXEL = 3.0
 _SECONDS_PER_MEGASAMPLE = 1.25
 _SCALAR_FACTOR = 4.0
+_GAIN_OF_WORKERS = 0.15
+"""power of their number by which workers on the same cores are faster than one"""
 
 
 @dataclass(frozen=True)
@@ -51,6 +45,7 @@ class Estimate:
 
     bytes_per_frame: float
     seconds_per_frame: float
+    """of the clock, by all workers together"""
 
 
 def render(options: RenderOptions) -> int:
@@ -69,10 +64,10 @@ def render(options: RenderOptions) -> int:
     )
     folder = run.SetFolder(options.out)
     folder.check_is_ours()
-    estimate = _estimate(job, options.out)
-    _announce(console, job, options, set_plan, estimate)
-    missing = len(set_plan.frames) - _num_done(options.out)
-    run.check_disk(options.out, missing * estimate.bytes_per_frame, force=options.force)
+    left = len(set_plan.frames) - folder.num_done(set_plan)
+    estimate = _estimate(job, options.out, options.workers)
+    _announce(console, job, options, set_plan, left, estimate)
+    run.check_disk(options.out, left * estimate.bytes_per_frame, force=options.force)
     with folder.locked():
         manifest = folder.open_manifest(
             job.content(), options.frames_per_shard, options.n, options.split
@@ -115,8 +110,12 @@ def _attributes(job: Job) -> dict[str, object]:
 # --- saying what will happen ---------------------------------------------------------------------
 
 
-def _estimate(job: Job, folder: Path) -> Estimate:
-    """From the folder's own timings if it has any, else from the benchmark's."""
+def _estimate(job: Job, folder: Path, workers: int) -> Estimate:
+    """From the folder's own timings if it has any, else from the benchmark's.
+
+    A folder's log holds the seconds of each worker, which share the cores; the benchmark had all
+    of them for itself.
+    """
     megapixels = job.wh[0] * job.wh[1] / 1e6
     cameras, pairs = len(job.rig.camera_y_m), len(job.rig.pairs)
     flow_bytes = _BYTES_PER_PAIR_PIXEL * pairs if job.flow else 0.1 * pairs
@@ -126,24 +125,22 @@ def _estimate(job: Job, folder: Path) -> Estimate:
     )
     if job.variant == "scalar_rgb":
         seconds *= _SCALAR_FACTOR
-    return Estimate(size, _measured_seconds(folder) or seconds)
+    logged = _logged_seconds(folder)
+    return Estimate(size, logged / workers if logged else seconds / workers**_GAIN_OF_WORKERS)
 
 
-def _measured_seconds(folder: Path) -> float | None:
+def _logged_seconds(folder: Path) -> float | None:
     spent = [sum(r["seconds"].values()) for r in read_log(folder).finished]
     return float(np.median(spent)) if spent else None
 
 
-def _num_done(folder: Path) -> int:
-    """Frames that are already there, in shards or waiting for one."""
-    in_shards = 0
-    if (folder / run.MANIFEST).exists():
-        in_shards = sum(len(s.frames) for s in Manifest.load(folder).shards)
-    return in_shards + len(list(folder.glob(f"{run.FRAMES_DIR}/*.h5")))
-
-
 def _announce(
-    console: Console, job: Job, options: RenderOptions, plan: run.SetPlan, estimate: Estimate
+    console: Console,
+    job: Job,
+    options: RenderOptions,
+    plan: run.SetPlan,
+    left: int,
+    estimate: Estimate,
 ) -> None:
     num_pairs = len(job.rig.pairs)
     num = len(plan.frames)
@@ -152,11 +149,18 @@ def _announce(
             f"--n {options.n} is rounded up to {plan.num_frames * num_pairs} pairs: a rig frame "
             f"has {num_pairs}."
         )
-    hours = num * estimate.seconds_per_frame / 3600 / options.workers**0.15
+    what = (
+        f"{num} rig frames, {num * num_pairs} pairs, {job.wh[0]}x{job.wh[1]}, seed {job.seed}, "
+        f"{job.variant}"
+    )
+    if not left:
+        console.print(f"{what}: all there in {options.out}")
+        return
+    still = f"the {left} frames left take " if left < num else ""
+    hours = left * estimate.seconds_per_frame / 3600
     time_text = f"{hours:.1f} h" if hours >= 1 else f"{max(1, round(hours * 60))} min"
     console.print(
-        f"{num} rig frames, {num * num_pairs} pairs, {job.wh[0]}x{job.wh[1]}, seed {job.seed}, "
-        f"{job.variant}: about {time_text} and {num * estimate.bytes_per_frame / 1e9:.2g} GB "
+        f"{what}: {still}about {time_text} and {left * estimate.bytes_per_frame / 1e9:.2g} GB "
         f"in {options.out}"
     )
 
@@ -169,11 +173,11 @@ class _Display:
 
     def __init__(self, console: Console, pairs_per_frame: int) -> None:
         self.console, self.pairs = console, pairs_per_frame
-        self.bar = Bar(
+        self.bar = progress.bar(
             TextColumn("rig frames"), BarColumn(), MofNCompleteColumn(),
             TextColumn("{task.fields[pairs]} pairs"),
             TextColumn("{task.fields[pace]}"), TimeRemainingColumn(elapsed_when_finished=True),
-            console=console, disable=not console.is_terminal,
+            console=console,
         )  # fmt: skip
         self.hooks = run.Progress(self._started, self._frame_done, self._note)
         self.total = self.done = self.first = 0

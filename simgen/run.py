@@ -144,7 +144,10 @@ class SetFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Makes the folder ours; UserError if it cannot be written, or another run has it."""
+        """Makes the folder ours; UserError if it cannot be written, or another run has it.
+
+        A disk that fills up while it is ours is a UserError, too.
+        """
         with self._writing():
             (self.path / FRAMES_DIR).mkdir(parents=True, exist_ok=True)
             lock = open(self.path / LOCK, "w")  # noqa: SIM115
@@ -161,7 +164,8 @@ class SetFolder:
                     f"{self.path}: cannot be locked ({error.strerror}), so two runs could write "
                     "here at once: a file system without locks? Choose --out on another one."
                 ) from error
-            yield
+            with _full_disk_explained(self.path):
+                yield
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -186,6 +190,13 @@ class SetFolder:
                 f"{', …' if len(foreign) > 3 else ''}) and no {MANIFEST}. Choose an empty or new "
                 "folder with --out."
             )
+
+    def num_done(self, set_plan: SetPlan) -> int:
+        """How many of a plan's frames are there already, in shards or waiting for one."""
+        if not (self.path / MANIFEST).exists():
+            return 0
+        in_shards = {i for s in Manifest.load(self.path).shards for i in s.frames}
+        return sum(i in in_shards or self.frame_path(i).exists() for i in set_plan.frames)
 
     def open_manifest(
         self, config: dict[str, Any], frames_per_shard: int, n: int, split: str = "all"
@@ -328,7 +339,7 @@ def render_set(
     """
     progress = progress or Progress()
     state = _State(folder, set_plan, manifest, attributes, compression)
-    with _StopSignals() as stop, _full_disk_explained(folder.path):
+    with _StopSignals() as stop:
         _restore(state, progress)
         finished = set(state.in_shards())
         folder.clean(finished)

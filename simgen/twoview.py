@@ -176,6 +176,10 @@ class _Patch:
     slope: Array
     """(2, N) per pixel in u and v"""
 
+    def shows(self, w: Array) -> Bools:
+        """Whether nothing but a plane is seen, and w on it where the end point is."""
+        return self.is_plane & (np.abs(self.w_end - w) <= AFFINE * w)
+
     def reaches(self, w: Array) -> Bools:
         """Whether the nearest pixel shows w, give or take what its surface changes in ½ px.
 
@@ -227,7 +231,7 @@ def _compare_patches(
     visible, occluded = (status & schema.VISIBLE) != 0, (status & schema.OCCLUDED) != 0
     same = patch.is_plane & _is_close(patch.w_end, w_end)
     found = _is_close(patch.w, w_end).any(axis=(0, 1)) | patch.reaches(w_end)
-    in_front = patch.w.max(axis=(0, 1)) > NEARER * w_end
+    in_front = (patch.w.max(axis=(0, 1)) > NEARER * w_end) & ~patch.shows(w_end)
     instance = d.source.instance[i, j]
     keeps_instance = _contains(d.target.instance, near, instance)
     keeps_label = _contains(d.target.semantic, near, d.source.semantic[i, j])
@@ -237,6 +241,7 @@ def _compare_patches(
         "cycle": np.hypot(back[:, 0] - j[cyclic], back[:, 1] - i[cyclic]),
         "visible_depth": ~found[visible & resolved],
         "occluded_depth": occluded & ~in_front,
+        "occluded_share": ~in_front[occluded],
         "instance": ~keeps_instance[visible & resolved & (instance != 0)],
         "semantic": ~keeps_label[visible & resolved],
     }

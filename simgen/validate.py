@@ -120,6 +120,10 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], dict[str, int]]:
         of_both = dict.fromkeys(("train", "test"), int(manifest["num_pairs_asked"]))
         asked = manifest.get("pairs_asked") or of_both
         num_asked = {side: -(-int(num) // num_pairs) for side, num in asked.items()}
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot be read ({error.strerror}). Mend its permissions."
+        ) from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(
             f"{path}: not a manifest of simgen ({type(error).__name__}: {error}). Restore the "
@@ -147,8 +151,8 @@ def _check_shard(path: Path, entry: _Entry, read: _Set) -> Iterator[None]:
     if not path.is_file():
         read.findings.append(judge("readable", 1, entry.name, "the file is missing"))
         return
-    read.findings.append(_check_hash(path, entry))
     try:
+        read.findings.append(_check_hash(path, entry))
         with h5py.File(path) as shard:
             yield from _check_contents(shard, entry, read)
     except OSError as error:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -166,6 +168,41 @@ def test_a_disk_that_is_too_small_stops_before_anything_is_written(tmp_path, cap
     *_, last = capsys.readouterr().err.splitlines()
     assert last.startswith(f"simgen: {out}: the set needs about 0.0 GB, but only 0.0 GB are free")
     assert not out.exists()
+
+
+def test_a_disk_that_is_full_at_the_first_write_is_an_error(tmp_path, capsys, monkeypatch):
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    out = tmp_path / "set"
+    assert cli.main(["render", "--n", "3", "--out", str(out), *SMALL]) == 2
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last.startswith(f"simgen: {out}: the disk is full. All finished frames are kept; free")
+    assert not [p.name for p in out.iterdir() if p.is_file() and p.name != run.LOCK]
+
+
+@pytest.mark.parametrize("workers, seconds", [(1, 3600.0), (2, 7200.0)])
+def test_a_set_that_goes_on_says_what_is_left(
+    tmp_path, capsys, fake_renderer, monkeypatch, workers, seconds
+):
+    """Frames of the other side are no part of what is asked for, nor is what is done already."""
+    fake_renderer(fakes.render)
+    args = ["render", "--n", "21", "--out", str(tmp_path), "--workers", str(workers), *SMALL]
+    assert cli.main([*args[:2], "6", *args[3:], "--split", "train"]) == 0
+    log = tmp_path / run.LOG
+    log.write_text(log.read_text().replace('{"fake": 0.001}', f'{{"fake": {seconds}}}'))
+    capsys.readouterr()
+    needed = []
+    monkeypatch.setattr(run, "check_disk", lambda path, size, force: needed.append(size))
+    assert cli.main([*args, "--split", "train"]) == 0
+    said = capsys.readouterr().err
+    assert "6 rig frames, 18 pairs, 96x54, seed 0, scalar_rgb: the 5 frames left take " in said
+    assert "about 5.0 h and " in said
+    assert cli.main([*args, "--split", "train"]) == 0
+    assert "scalar_rgb: all there in " in capsys.readouterr().err
+    assert needed == [pytest.approx(needed[0]), 0]
+    assert needed[0] > 0
 
 
 def test_a_folder_that_cannot_be_written_is_an_error(tmp_path, capsys):

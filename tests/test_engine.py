@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simgen import engine
+from simgen import doctor, engine, export
 from simgen.engine import Engine, Llvm, choose, find_llvm, probe_llvm
 from simgen.errors import UserError
 
@@ -186,3 +186,62 @@ def test_install_llvm_prints_the_command_for_those_who_are_not_root(libraries, m
     assert engine.install_llvm() == (
         "No LLVM 17 or newer. For 3 to 4 times the speed, run: apt-get install libllvm19"
     )
+
+
+# --- what is said of it --------------------------------------------------------------------------
+
+
+def _llvm_lines() -> list[str]:
+    return [line for line in doctor.diagnosis().splitlines() if line.startswith("LLVM ")]
+
+
+def test_the_diagnosis_lists_every_library_and_marks_the_one_in_use(libraries):
+    libraries({"broken": None, "old": (0, 0, 0), "good": (19, 1, 7), "other": (18, 1, 0)})
+    assert "variant   llvm_ad_rgb\n" in doctor.diagnosis()
+    assert _llvm_lines() == [
+        "LLVM      good: 19.1.7, in use",
+        "LLVM      broken: cannot be loaded",
+        "LLVM      old: 15 or older, too old (it would abort the process): never loaded",
+        "LLVM      other: 18.1.0, usable",
+    ]
+
+
+def test_the_library_that_the_variable_names_is_listed_once(libraries, monkeypatch, tmp_path):
+    file, link = tmp_path / "libLLVM.so.19.1", tmp_path / "libLLVM-19.so"
+    file.touch()
+    link.symlink_to(file)
+    libraries({str(file): (19, 1, 0), str(link): (19, 1, 0)})
+    monkeypatch.setattr(engine, "llvm_candidates", lambda: [file])
+    monkeypatch.setenv(engine.LLVM_PATH_VARIABLE, str(link))
+    assert _llvm_lines() == [f"LLVM      {link}: 19.1.0, in use"]
+
+
+def test_a_library_elsewhere_that_the_variable_names_is_in_use(libraries, monkeypatch):
+    libraries({"named": (19, 1, 0)})
+    monkeypatch.setattr(engine, "llvm_candidates", list)
+    monkeypatch.setenv(engine.LLVM_PATH_VARIABLE, "named")
+    assert _llvm_lines() == ["LLVM      named: 19.1.0, in use"]
+
+
+def test_the_diagnosis_without_llvm_says_what_would_help(libraries, monkeypatch):
+    libraries({})
+    monkeypatch.setattr(engine, "install_hint", lambda: "apt-get install libllvm19")
+    said = doctor.diagnosis()
+    assert "variant   scalar_rgb\nLLVM      none found\n" in said
+    assert "To do     3 to 4 times faster with a newer LLVM: apt-get install libllvm19" in said
+
+
+def test_the_diagnosis_tells_of_a_variable_that_cannot_be_followed(libraries, monkeypatch):
+    libraries({"named": None})
+    monkeypatch.setenv(engine.LLVM_PATH_VARIABLE, "named")
+    assert "variant   none: DRJIT_LIBLLVM_PATH=named cannot be loaded" in doctor.diagnosis()
+
+
+def test_export_without_llvm_names_no_option_that_it_lacks(libraries, monkeypatch):
+    libraries({})
+    monkeypatch.setattr(engine, "install_hint", lambda: "apt-get install libllvm19")
+    with pytest.raises(UserError) as error:
+        export._engine_of("llvm_ad_rgb")
+    assert "--variant" not in str(error.value)
+    assert str(error.value).endswith('Run "apt-get install libllvm19", or set DRJIT_LIBLLVM_PATH.')
+    assert export._engine_of("scalar_rgb") == Engine("scalar_rgb", None)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import itertools
 import json
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -398,6 +401,15 @@ def test_a_rotation_that_is_none_fails(frame: Frame) -> None:
     assert "rotation" in failed(frame)
 
 
+@pytest.mark.parametrize("scale", [(-1, 1, 1), (0, 0, 0), (1, 1, 2)])
+@pytest.mark.parametrize("thorough", [False, True])
+def test_a_mirrored_or_zero_rotation_fails_and_ends_the_checks(
+    frame: Frame, scale: tuple[float, ...], thorough: bool
+) -> None:
+    frame["T_world_cam"][1, :3, :3] *= scale
+    assert failed(frame, thorough=thorough) == {"rotation", "pose"}
+
+
 def test_a_reflection_is_no_rotation(frame: Frame) -> None:
     frame["T_world_cam"][:, :3, 0] *= -1
     assert "rotation" in failed(frame)
@@ -443,6 +455,17 @@ def test_occluded_pixels_called_visible_fail(frame: Frame) -> None:
 
 def test_visible_pixels_called_occluded_fail(frame: Frame) -> None:
     assert "occluded_depth" in failed(swap_status(frame, schema.VISIBLE, schema.OCCLUDED))
+
+
+@pytest.mark.parametrize("name", ["flow_status", "flow_status_reverse"])
+def test_one_false_occlusion_to_five_true_ones_fails(frame: Frame, name: str) -> None:
+    """Also on the road, whose next row is nearer, and however few they are of all pixels."""
+    status = frame[name][2]
+    visible = np.flatnonzero(status & schema.VISIBLE)
+    num = np.count_nonzero(status & schema.OCCLUDED) // 5
+    chosen = np.random.default_rng(0).choice(visible, num, replace=False)
+    status.flat[chosen] ^= schema.VISIBLE | schema.OCCLUDED
+    assert "occluded_share" in failed(frame)
 
 
 def test_in_frame_ends_on_the_outer_edge_of_the_last_pixel(frame: Frame) -> None:
@@ -609,6 +632,40 @@ def test_a_truncated_shard_is_found(folder: Path) -> None:
     assert set(found) == {"sha256", "readable", "frames"}
     assert "truncated, damaged or no HDF5 file" in found["readable"]
     assert found["frames"] == "listed but not found: [1, 2]"
+
+
+@pytest.fixture
+def unreadable(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """``unreadable("manifest.json")``: opening files of this name fails, as on a broken disk."""
+    open_file = Path.open
+
+    def refuse(name: str) -> None:
+        def opened(path: Path, *args: Any, **kwargs: Any) -> Any:
+            if path.name == name:
+                raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+            return open_file(path, *args, **kwargs)
+
+        monkeypatch.setattr(Path, "open", opened)
+
+    return refuse
+
+
+def test_a_shard_that_cannot_be_read_is_found_and_the_others_are_checked(
+    folder: Path, unreadable: Callable[[str], None]
+) -> None:
+    unreadable("train-00000.h5")
+    found = failures(folder)
+    assert set(found) == {"readable", "frames"}
+    assert "Input/output error" in found["readable"]
+    assert found["frames"] == "listed but not found: [1, 2]"
+
+
+def test_a_manifest_that_cannot_be_read_is_an_error(
+    folder: Path, unreadable: Callable[[str], None]
+) -> None:
+    unreadable("manifest.json")
+    with pytest.raises(UserError, match=r"manifest\.json: cannot be read \(Input/output error\)"):
+        validate_folder(folder)
 
 
 def test_a_foreign_hdf5_file_is_found(folder: Path) -> None:
