@@ -168,7 +168,8 @@ class PoseOptions(LoopOptions):
 class TrainOptions(PoseOptions):
     """Trains the network on a set of pairs.
 
-    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    The same command again resumes where the last one stopped, bit for bit on a CPU; on CUDA sums
+    may differ in their last digits. Ctrl-C saves first.
     ``--overfit 4`` should come below 0.02 degrees. ``--model rpnet``, ``directionnet`` or
     ``vitpose`` trains a rival instead, which has other options: add ``--help`` to see them.
     """
@@ -189,7 +190,8 @@ class TrainOptions(PoseOptions):
 class RivalOptions(PoseOptions):
     """Trains a rival of the paper's tables on the same data, by the same loop.
 
-    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    The same command again resumes where the last one stopped, bit for bit on a CPU; on CUDA sums
+    may differ in their last digits. Ctrl-C saves first.
     """
 
     model: RivalConfig = field(default_factory=ViTPoseConfig)

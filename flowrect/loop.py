@@ -82,7 +82,10 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     """
     _require_sensible(options)
     started = time.monotonic()
-    accelerator = Accelerator(mixed_precision=options.precision)
+    # Without cpu=True several processes on a CPU would not find each other: one copy each.
+    accelerator = Accelerator(
+        mixed_precision=options.precision, cpu=not torch.cuda.is_available()
+    )
     make_folder(options.out)
     torch.manual_seed(options.loading.seed)
     task = make_task()
@@ -257,6 +260,8 @@ def _require_sensible(options: LoopOptions) -> None:
     ):
         if value < 1:
             raise UserError(f"{name} {value}: expected at least 1.")
+    if options.precision == "fp16" and not torch.cuda.is_available():
+        raise UserError("--precision fp16 needs a GPU, and there is none; take bf16 or no.")
 
 
 def largest_safe_keep(pairs: Pairs[Any], input_wh: tuple[int, int], options: LoopOptions) -> float:
