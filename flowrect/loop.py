@@ -26,7 +26,7 @@ from flowrect.files import make_folder
 from flowrect.geometry import angles_per_axis_rad
 from flowrect.loading import Loading, PairLoader
 from flowrect.resize import Sizing
-from flowrect.runlog import RunLog
+from flowrect.runlog import RunLog, Stopwatch
 from flowrect.sample import Batch
 from flowrect.sources import Pairs, open_source
 from flowrect.turn import largest_keep
@@ -105,8 +105,9 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     with RunLog(options.out, run.step, last_step, active=accelerator.is_main_process) as log, \
          stop_on_interrupt() as interrupted:  # fmt: skip
         summed: dict[str, Tensor] = {}
+        watch = Stopwatch()
         batches = endless(loader, until=lambda: run.step >= last_step or run.spent)
-        for count, batch in enumerate(batches, 1):
+        for count, batch in enumerate(watch.waiting_for(batches), 1):
             task.require(batch)
             batch = batch.to(accelerator.device)
             terms = task.terms(network, batch)
@@ -126,7 +127,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             run.update(lr)
             means, stopping = over_processes(summed, interrupted() or run.late, accelerator)
             summed = {}
-            log.step(run.step, {**means, "lr": lr}, epoch_steps)
+            log.step(run.step, {**means, "lr": lr, **watch.lap()}, epoch_steps)
             if run.step % options.val_every and not stopping and run.step < last_step:
                 continue
             if accelerator.is_main_process:
@@ -135,6 +136,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             run.save()
             if stopping:
                 break
+            watch.restart()
     return run.scores
 
 
