@@ -18,9 +18,9 @@ import torch
 
 from simgen.errors import UserError
 
-BUDGET = frozenset({"out", "data", "minutes", "val_every", "init", "preset"})
+BUDGET = frozenset({"out", "data", "root", "minutes", "val_every", "init", "preset"})
 """options that may differ when a run goes on: they change when it ends, not what is computed; that
-``data`` holds the same pairs is checked by their fingerprint"""
+``data`` and ``root`` hold the same pairs is checked by their fingerprint"""
 
 
 def random_state() -> dict[str, Any]:

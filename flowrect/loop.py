@@ -83,9 +83,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     _require_sensible(options)
     started = time.monotonic()
     # Without cpu=True several processes on a CPU would not find each other: one copy each.
-    accelerator = Accelerator(
-        mixed_precision=options.precision, cpu=not torch.cuda.is_available()
-    )
+    accelerator = Accelerator(mixed_precision=options.precision, cpu=not torch.cuda.is_available())
     make_folder(options.out)
     torch.manual_seed(options.loading.seed)
     task = make_task()
@@ -250,7 +248,13 @@ class Run:
 def open_pairs(options: LoopOptions) -> Pairs[Any]:
     """All pairs that training may see."""
     split = "train" if (options.data / MANIFEST).is_file() else None
-    return open_source(options.data, split=split, truth_points=options.truth_points)
+    return open_source(
+        options.data,
+        split=split,
+        root=options.root,
+        truth_points=options.truth_points,
+        trusted=options.trusted,
+    )
 
 
 def _require_sensible(options: LoopOptions) -> None:
@@ -272,7 +276,7 @@ def largest_safe_keep(pairs: Pairs[Any], input_wh: tuple[int, int], options: Loo
         return 1.0
     sizing = Sizing(input_wh, options.fit)
     limit_deg = options.augmentation.turn_deg + pairs.largest_turn_deg
-    return largest_keep(pairs[0], sizing, limit_deg)
+    return min(largest_keep(pair, sizing, limit_deg) for pair in pairs.one_of_each_rig())
 
 
 def make_loaders(
@@ -293,15 +297,21 @@ def make_loaders(
 
 
 def divided(pairs: Pairs[Any], options: LoopOptions) -> tuple[Pairs[Any], Pairs[Any]]:
-    """Pairs to train on and to validate on."""
+    """Pairs to train on, and pairs of other scenes, left to right, to validate on."""
     if options.overfit:
         return pairs[: options.overfit], pairs[: options.overfit]
-    if len(pairs) <= options.val_pairs:
+    start = pairs.start_of_last(options.val_pairs)
+    if not start:
         raise UserError(
-            f"{options.data}: {len(pairs)} pairs, of which the last {options.val_pairs} are for "
-            "validation; expected more. Take more data or a smaller --val-pairs."
+            f"{options.data}: {len(pairs)} pairs, of which the last {len(pairs)} are for "
+            f"validation: --val-pairs {options.val_pairs}, in whole scenes. Take more data or a "
+            "smaller --val-pairs."
         )
-    return pairs[: -options.val_pairs], pairs[-options.val_pairs :]
+    train_pairs = pairs[:start]
+    return (
+        train_pairs.in_both_directions() if options.both_directions else train_pairs,
+        pairs[start:],
+    )
 
 
 # --- in the loop -------------------------------------------------------------------------------

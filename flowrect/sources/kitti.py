@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,13 @@ def open_kitti(root: Path, rows: Sequence[dict[str, str]] | None = None) -> Pair
     """
     items = _found(root) if rows is None else [_listed(root, row) for row in rows]
     files = {path for item in items for path in (item.left, item.right, item.calib)}
-    return Pairs(items, _read, layout=f"{root}: KITTI raw", fingerprint=digest_files(sorted(files)))
+    return Pairs(
+        items,
+        _read,
+        layout=f"{root}: KITTI raw",
+        fingerprint=digest_files(sorted(files)),
+        rig=attrgetter("calib", "drive"),
+    )
 
 
 def read_list(path: Path) -> list[dict[str, str]]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,7 @@ def open_semi_truck(root: Path, rows: Sequence[dict[str, str]]) -> Pairs[Item]:
         partial(_read, _rigs(files)),
         layout=f"{root}: the release's Semi-Truck set",
         fingerprint=digest_files([*files, *sorted(images)]),
+        rig=attrgetter("week", "capture", "cam_type", "cameras"),
     )
 
 
