@@ -20,6 +20,7 @@ import numpy as np
 from flowrect.files import matrix, read_rgb, read_rows, undistorted
 from flowrect.sample import Image, Pair
 from flowrect.sources.pairs import Pairs, digest_files
+from flowrect.sources.rim import without_rim
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, transform
 
@@ -103,7 +104,7 @@ def _listed(root: Path, row: dict[str, str]) -> Item:
 def _read(item: Item) -> Pair:
     left, right = (_camera(item, name) for name in (LEFT, RIGHT))
     T_right_left = right.T_cam_reference @ inverse(left.T_cam_reference)
-    return Pair(
+    pair = Pair(
         left=_image(item.left, left),
         right=_image(item.right, right),
         K_left=left.K,
@@ -113,6 +114,7 @@ def _read(item: Item) -> Pair:
         name=f"{item.drive} {item.left.stem}",
         scene=item.drive,
     )
+    return without_rim(pair, left.dist, right.dist)
 
 
 def _image(path: Path, camera: Camera) -> Image:
