@@ -28,7 +28,8 @@ class Augmentation:
     """each camera's rotation vector against its nominal pose, each component uniform within ±
     this, in place of the rotation it has; 0 leaves the cameras as they stand"""
     mirror: float = 0.5
-    """probability of swapping the views and mirroring both: the rig stays left-first"""
+    """probability of swapping the views and mirroring both, so that the rig stays left-first; those
+    of a vertical rig are mirrored only"""
     swap: float = 0.0
     """probability of swapping the views alone: the baseline changes its sign"""
     brightness: float = 0.2
@@ -88,8 +89,12 @@ def swapped(pair: Pair) -> Pair:
 
 
 def mirrored(pair: Pair) -> Pair:
-    """Views swapped and both mirrored left to right, so that a left-first rig stays one."""
-    pair = swapped(pair)
+    """Both views mirrored left to right; those of a horizontal rig also swapped.
+
+    So a left-first rig stays one, and a vertical rig with the upper camera first, too.
+    """
+    x, y, _ = np.abs(pair.T_right_left_nominal[:3, 3])
+    pair = swapped(pair) if x > y else pair
     T = pair.T_right_left
     return replace(
         pair,

@@ -60,7 +60,14 @@ def cached(
     words = json.loads((path / WORDS).read_text(encoding="utf-8"))
     layout = f"{pairs.layout}, {wh[0]}x{wh[1]} in {path}"
     return Pairs(range(len(pairs)), partial(_read, path, cameras, words), layout=layout,
-                 fingerprint=key, largest_turn_deg=pairs.largest_turn_deg)  # fmt: skip
+                 fingerprint=key, largest_turn_deg=pairs.largest_turn_deg,
+                 rig=partial(_rig, cameras))  # fmt: skip
+
+
+def _rig(cameras: dict[str, NDArray[Any]], i: int) -> bytes:
+    """All images of a copy are of one size, so K alone tells rigs apart."""
+    left, right = cameras["K_left"][i], cameras["K_right"][i]
+    return bytes(left.tobytes() + right.tobytes())
 
 
 def _read(path: Path, cameras: dict[str, NDArray[Any]], words: list[Any], i: int) -> Pair:

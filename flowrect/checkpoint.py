@@ -2,6 +2,9 @@
 
 The file is PyTorch's own format, read with ``weights_only=True``: tensors and plain values only, so
 reading one runs no code. The learning rate is a function of the step and needs no state.
+
+On a CPU a run that goes on computes the same bits. On CUDA it goes on from the same bits, but some
+kernels add in an order that changes from run to run, with or without an interruption.
 """
 
 from __future__ import annotations
@@ -15,22 +18,22 @@ import torch
 
 from simgen.errors import UserError
 
-BUDGET = frozenset({"out", "data", "minutes", "val_every", "init", "preset"})
+BUDGET = frozenset({"out", "data", "root", "minutes", "val_every", "init", "preset"})
 """options that may differ when a run goes on: they change when it ends, not what is computed; that
-``data`` holds the same pairs is checked by their fingerprint"""
+``data`` and ``root`` hold the same pairs is checked by their fingerprint"""
 
 
 def random_state() -> dict[str, Any]:
-    """State of torch's generators."""
-    cuda = torch.cuda.get_rng_state_all() if torch.cuda.is_available() else []
+    """State of torch's generators: the CPU's, and the current GPU's if there is one."""
+    cuda = torch.cuda.get_rng_state() if torch.cuda.is_available() else None
     return {"cpu": torch.get_rng_state(), "cuda": cuda}
 
 
 def restore_random_state(state: dict[str, Any]) -> None:
     """Sets what ``random_state`` returned."""
     torch.set_rng_state(state["cpu"])
-    if state["cuda"] and torch.cuda.is_available():
-        torch.cuda.set_rng_state_all(state["cuda"])
+    if state["cuda"] is not None and torch.cuda.is_available():
+        torch.cuda.set_rng_state(state["cuda"])
 
 
 def save(path: Path, state: dict[str, Any]) -> None:

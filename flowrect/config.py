@@ -19,7 +19,19 @@ PresetName = Literal["paper", "small", "rpnet", "directionnet", "vitpose"]
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """The network. The defaults are the paper as printed (sections 3.1 to 3.5)."""
+    """The network. The defaults are the paper as printed (sections 3.1 to 3.5).
+
+    Choices without a field, where the paper is silent or can be read in two ways:
+
+    * Eq. 3 and 4 name the output of cross-attention by its keys; here it lies at the pixels of its
+      queries, and is named by them. The other reading transposes M_vol.
+    * Blocks of the transformer normalise before attention and feed-forward, not after them as [54]:
+      that needs no warm-up. One more layer norm follows the last block.
+    * The CNN has instance normalisation without learnt scale, as GMFlow [58], and even kernels
+      where it strides, so that features lie in the middle of what they see.
+    * conv3d pools the left columns by 2 after each of the first five convolutions; what is left is
+      averaged. It reads M_match in units of a uniform distribution.
+    """
 
     input_wh: tuple[int, int] = (1024, 512)
     """width and height that images are fitted to; the network itself takes any size"""
@@ -110,6 +122,14 @@ class LoopOptions:
 
     data: Path
     """a set of simgen (its train frames), or another layout that flowrect.sources knows"""
+    root: Path | None = None
+    """folder that the paths of a CSV list are relative to; the list's own if not given"""
+    trusted: bool = False
+    """the calibration of a plain folder (left/, right/, calib.yaml) is the truth, as that of a
+    rectified set is. Without depth, train with --teacher none or raft and --loss.matching 0"""
+    both_directions: bool = False
+    """of a rendered set: each pair from left to right, and from right to left, too. Validation is
+    from left to right"""
     out: Path = Path("runs/flowrect")
     """folder of the run: checkpoint, best and last weights, metrics.jsonl, TensorBoard"""
     init: str = ""
@@ -130,7 +150,8 @@ class LoopOptions:
     """optimiser steps; 0: as many as the epochs have"""
     minutes: float = 0.0
     """stop, with a checkpoint, once training has taken so long, the runs that this one goes on from
-    included; 0: no limit. The rate still follows the epochs"""
+    included; 0: no limit. The rate follows the epochs or steps, so that no preset has a limit:
+    docs/training.md has the commands of comparisons at one budget"""
     lr: float = 1e-4
     """of Adam, at the start"""
     lr_final: float = 0.05
@@ -145,7 +166,8 @@ class LoopOptions:
     precision: Literal["no", "bf16", "fp16"] = "no"
     """of the network; geometry stays float64"""
     val_pairs: int = 48
-    """the last pairs of the data, which are not trained on: they choose the best weights"""
+    """the last pairs of the data, which are not trained on, nor is any other pair of their scenes,
+    which join them: they choose the best weights"""
     val_every: int = 500
     """steps between validations; each one also writes a checkpoint"""
     overfit: int = 0
@@ -156,6 +178,7 @@ class LoopOptions:
 class PoseOptions(LoopOptions):
     """What every training for the pose of a pair needs to know."""
 
+    both_directions: bool = True
     preset: PresetName = "paper"
     """paper on a GPU, small on a CPU if not given; or a rival of the paper's tables. --model NAME
     says the same"""
@@ -168,7 +191,8 @@ class PoseOptions(LoopOptions):
 class TrainOptions(PoseOptions):
     """Trains the network on a set of pairs.
 
-    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    The same command again resumes where the last one stopped, bit for bit on a CPU; on CUDA sums
+    may differ in their last digits. Ctrl-C saves first.
     ``--overfit 4`` should come below 0.02 degrees. ``--model rpnet``, ``directionnet`` or
     ``vitpose`` trains a rival instead, which has other options: add ``--help`` to see them.
     """
@@ -189,7 +213,8 @@ class TrainOptions(PoseOptions):
 class RivalOptions(PoseOptions):
     """Trains a rival of the paper's tables on the same data, by the same loop.
 
-    The same command again resumes where the last one stopped, bit for bit. Ctrl-C saves first.
+    The same command again resumes where the last one stopped, bit for bit on a CPU; on CUDA sums
+    may differ in their last digits. Ctrl-C saves first.
     """
 
     model: RivalConfig = field(default_factory=ViTPoseConfig)

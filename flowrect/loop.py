@@ -26,7 +26,7 @@ from flowrect.files import make_folder
 from flowrect.geometry import angles_per_axis_rad
 from flowrect.loading import Loading, PairLoader
 from flowrect.resize import Sizing
-from flowrect.runlog import RunLog
+from flowrect.runlog import RunLog, Stopwatch
 from flowrect.sample import Batch
 from flowrect.sources import Pairs, open_source
 from flowrect.turn import largest_keep
@@ -82,7 +82,8 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     """
     _require_sensible(options)
     started = time.monotonic()
-    accelerator = Accelerator(mixed_precision=options.precision)
+    # Without cpu=True several processes on a CPU would not find each other: one copy each.
+    accelerator = Accelerator(mixed_precision=options.precision, cpu=not torch.cuda.is_available())
     make_folder(options.out)
     torch.manual_seed(options.loading.seed)
     task = make_task()
@@ -102,8 +103,9 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     with RunLog(options.out, run.step, last_step, active=accelerator.is_main_process) as log, \
          stop_on_interrupt() as interrupted:  # fmt: skip
         summed: dict[str, Tensor] = {}
+        watch = Stopwatch()
         batches = endless(loader, until=lambda: run.step >= last_step or run.spent)
-        for count, batch in enumerate(batches, 1):
+        for count, batch in enumerate(watch.waiting_for(batches), 1):
             task.require(batch)
             batch = batch.to(accelerator.device)
             terms = task.terms(network, batch)
@@ -123,7 +125,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             run.update(lr)
             means, stopping = over_processes(summed, interrupted() or run.late, accelerator)
             summed = {}
-            log.step(run.step, {**means, "lr": lr}, epoch_steps)
+            log.step(run.step, {**means, "lr": lr, **watch.lap()}, epoch_steps)
             if run.step % options.val_every and not stopping and run.step < last_step:
                 continue
             if accelerator.is_main_process:
@@ -132,6 +134,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             run.save()
             if stopping:
                 break
+            watch.restart()
     return run.scores
 
 
@@ -245,7 +248,13 @@ class Run:
 def open_pairs(options: LoopOptions) -> Pairs[Any]:
     """All pairs that training may see."""
     split = "train" if (options.data / MANIFEST).is_file() else None
-    return open_source(options.data, split=split, truth_points=options.truth_points)
+    return open_source(
+        options.data,
+        split=split,
+        root=options.root,
+        truth_points=options.truth_points,
+        trusted=options.trusted,
+    )
 
 
 def _require_sensible(options: LoopOptions) -> None:
@@ -257,6 +266,8 @@ def _require_sensible(options: LoopOptions) -> None:
     ):
         if value < 1:
             raise UserError(f"{name} {value}: expected at least 1.")
+    if options.precision == "fp16" and not torch.cuda.is_available():
+        raise UserError("--precision fp16 needs a GPU, and there is none; take bf16 or no.")
 
 
 def largest_safe_keep(pairs: Pairs[Any], input_wh: tuple[int, int], options: LoopOptions) -> float:
@@ -265,7 +276,7 @@ def largest_safe_keep(pairs: Pairs[Any], input_wh: tuple[int, int], options: Loo
         return 1.0
     sizing = Sizing(input_wh, options.fit)
     limit_deg = options.augmentation.turn_deg + pairs.largest_turn_deg
-    return largest_keep(pairs[0], sizing, limit_deg)
+    return min(largest_keep(pair, sizing, limit_deg) for pair in pairs.one_of_each_rig())
 
 
 def make_loaders(
@@ -286,15 +297,21 @@ def make_loaders(
 
 
 def divided(pairs: Pairs[Any], options: LoopOptions) -> tuple[Pairs[Any], Pairs[Any]]:
-    """Pairs to train on and to validate on."""
+    """Pairs to train on, and pairs of other scenes, left to right, to validate on."""
     if options.overfit:
         return pairs[: options.overfit], pairs[: options.overfit]
-    if len(pairs) <= options.val_pairs:
+    start = pairs.start_of_last(options.val_pairs)
+    if not start:
         raise UserError(
-            f"{options.data}: {len(pairs)} pairs, of which the last {options.val_pairs} are for "
-            "validation; expected more. Take more data or a smaller --val-pairs."
+            f"{options.data}: {len(pairs)} pairs, of which the last {len(pairs)} are for "
+            f"validation: --val-pairs {options.val_pairs}, in whole scenes. Take more data or a "
+            "smaller --val-pairs."
         )
-    return pairs[: -options.val_pairs], pairs[-options.val_pairs :]
+    train_pairs = pairs[:start]
+    return (
+        train_pairs.in_both_directions() if options.both_directions else train_pairs,
+        pairs[start:],
+    )
 
 
 # --- in the loop -------------------------------------------------------------------------------

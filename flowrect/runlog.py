@@ -1,7 +1,9 @@
 """What a run leaves to look at: a progress bar, TensorBoard, and ``metrics.jsonl``.
 
-``metrics.jsonl`` has one object a line: ``{"step": …, "loss": …, "lr": …}`` for every step, and
-``{"step": …, "validation": {…}}``. Lines after the checkpoint that a run goes on from are dropped.
+``metrics.jsonl`` has one object a line: ``{"step": …, "loss": …, "lr": …, "step_s": …, "wait_s":
+…}`` for every step, and ``{"step": …, "validation": {…}}``. ``step_s`` [s] is without validations;
+for ``wait_s`` of it the step waited for data. Lines after the checkpoint that a run goes on from
+are dropped.
 """
 
 from __future__ import annotations
@@ -9,9 +11,10 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -20,6 +23,37 @@ from torch.utils.tensorboard import SummaryWriter
 TIMED_STEPS = 20  # after the first, which warms up
 TENSORBOARD_EVERY = 10
 
+T = TypeVar("T")
+
+
+class Stopwatch:
+    """How long steps take, and how much of that they wait for data."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """A step begins now."""
+        self._began, self._waited_s = time.monotonic(), 0.0
+
+    def waiting_for(self, batches: Iterable[T]) -> Iterator[T]:
+        """The batches; the time until each is there counts as waiting."""
+        iterator = iter(batches)
+        while True:
+            asked = time.monotonic()
+            try:
+                batch = next(iterator)
+            except StopIteration:
+                return
+            self._waited_s += time.monotonic() - asked
+            yield batch
+
+    def lap(self) -> dict[str, float]:
+        """Seconds of the step that ends now; the next one begins."""
+        seconds = {"step_s": time.monotonic() - self._began, "wait_s": self._waited_s}
+        self.restart()
+        return seconds
+
 
 class RunLog:
     """Writes while a run goes on; does nothing in processes that are not ``active``."""
@@ -27,6 +61,7 @@ class RunLog:
     def __init__(self, out: Path, step: int, last_step: int, *, active: bool) -> None:
         self._active, self._first, self._last = active, step, last_step
         self._path, self._board_dir = out / "metrics.jsonl", out / "tensorboard"
+        self._step_s = self._wait_s = 0.0
 
     def __enter__(self) -> RunLog:
         if self._active:
@@ -60,7 +95,11 @@ class RunLog:
             for name, value in values.items():
                 self._board.add_scalar(f"train/{name}", value, step)
         self._bar.update(self._task, completed=step, description=f"loss {values['loss']:.3f}")
-        self._say_speed(step - self._first, epoch_steps)
+        if 1 < step - self._first <= 1 + TIMED_STEPS:
+            self._step_s += values["step_s"]
+            self._wait_s += values["wait_s"]
+        if step - self._first == 1 + TIMED_STEPS:
+            self._say_speed(epoch_steps)
 
     def validation(self, step: int, scores: dict[str, float]) -> None:
         """Scores of one validation."""
@@ -76,14 +115,12 @@ class RunLog:
         self._file.write(json.dumps(row) + "\n")
         self._file.flush()
 
-    def _say_speed(self, done: int, epoch_steps: int) -> None:
-        """Prints hours per epoch once it can be known."""
-        if done == 1:
-            self._started = time.monotonic()
-        if done == 1 + TIMED_STEPS:
-            seconds = (time.monotonic() - self._started) / TIMED_STEPS
-            hours = seconds * epoch_steps / 3600
-            self._console.print(f"{seconds:.2f} s per step, {hours:.2f} h per epoch")
+    def _say_speed(self, epoch_steps: int) -> None:
+        seconds, share = self._step_s / TIMED_STEPS, self._wait_s / self._step_s
+        hours = seconds * epoch_steps / 3600
+        self._console.print(
+            f"{seconds:.2f} s per step, {share:.1%} of it waiting for data; {hours:.2f} h per epoch"
+        )
 
 
 def keep_lines_until(path: Path, step: int) -> None:

@@ -201,8 +201,8 @@ def require_pose(batch: Batch, options: PoseOptions) -> None:
     """Raises where there is no true pose to train on."""
     if batch.R is None:
         raise UserError(
-            f"{options.data}: {batch.names[0]} has no true pose to train on; for a folder "
-            "whose calibration is the truth, see flowrect.sources."
+            f"{options.data}: {batch.names[0]} has no true pose to train on; if the calibration "
+            "of the folder is the truth, say --trusted."
         )
 
 

@@ -52,11 +52,15 @@ def grid_points(K: Array, wh: tuple[int, int], rng: np.random.Generator) -> Arra
 
 
 @cache
-def painted_pair(seed: int = 0, turn_deg: float = 1.0) -> Pair:
-    """Dots at known points, seen by two different cameras that are turned at random."""
+def painted_pair(seed: int = 0, turn_deg: float = 1.0, *, vertical: bool = False) -> Pair:
+    """Dots at known points, seen by two different cameras that are turned at random.
+
+    The left camera comes first, or the upper one of a vertical rig.
+    """
     rng = np.random.default_rng(seed)
     turns = [rotation_from_vector(np.deg2rad(rng.uniform(-1, 1, 3) * turn_deg)) for _ in "lr"]
-    nominal = transform(rotation_from_vector(np.array([0.004, -0.01, 0.006])), [-0.8, 0.02, 0.05])
+    t = [0.02, -0.8, 0.05] if vertical else [-0.8, 0.02, 0.05]
+    nominal = transform(rotation_from_vector(np.array([0.004, -0.01, 0.006])), t)
     zero = np.zeros(3)
     T = transform(turns[1].T, zero) @ nominal @ transform(turns[0], zero)
     left = grid_points(K_LEFT, WH, rng)

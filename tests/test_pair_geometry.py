@@ -47,6 +47,8 @@ OPERATIONS: dict[str, Callable[[Pair], Pair]] = {
     "turn": _turned,
     "turn of a mirrored pair": lambda p: _turned(mirrored(p)),
     "mirror of a turned pair": lambda p: mirrored(_turned(p)),
+    "mirror of a vertical rig": lambda _: mirrored(painted_pair(vertical=True)),
+    "augmented vertical rig": lambda _: _augmented(painted_pair(vertical=True), 1, mirror=1),
     "swap of a turned pair": lambda p: swapped(_turned(p)),
     "augmented, network input": lambda p: _augmented(p, 0, mirror=0),
     "augmented, metric size": lambda p: _augmented(p, 1, mirror=0),
@@ -100,6 +102,14 @@ def test_swap_and_mirror_are_their_own_inverses() -> None:
 def test_mirrored_rig_stays_left_first_and_swapped_one_does_not() -> None:
     pair = painted_pair()
     assert mirrored(pair).T_right_left_nominal[0, 3] < 0 < swapped(pair).T_right_left_nominal[0, 3]
+
+
+def test_mirrored_vertical_rig_keeps_its_upper_camera_first() -> None:
+    pair = painted_pair(vertical=True)
+    mirror = mirrored(pair)
+    np.testing.assert_array_equal(mirror.left, pair.left[:, ::-1])
+    assert mirror.T_right_left_nominal[1, 3] == pair.T_right_left_nominal[1, 3] < 0
+    np.testing.assert_allclose(mirrored(mirror).T_right_left, pair.T_right_left, atol=1e-15)
 
 
 # --- sizes -------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from flowrect.sample import Pair
 from flowrect.sources import open_source
 from simgen.errors import UserError
 from simgen.geometry import Array, intrinsics, inverse, project, rotation_from_vector, transform
+from simgen.shards import ShardSet
 
 WH = (320, 180)
 K_A = np.array([[200.0, 0, 161.0], [0, 198.0, 88.0], [0, 0, 1]])
@@ -76,6 +77,34 @@ def test_folder_shows_points_where_its_calibration_says(tmp_path: Path, dist: Ar
     pairs = open_source(_folder(tmp_path, dist), trusted=True)
     assert [pair.name for pair in pairs] == ["a", "b"]
     _require_dots(pairs[0], _points(), limit=0.1 if dist.any() else 0.05)
+
+
+@pytest.mark.parametrize("source", ["folder", "KITTI", "Semi-Truck"])
+def test_pairs_have_no_black_rim(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str
+) -> None:
+    """White images through a lens that is straightened by drawing their border inwards."""
+    monkeypatch.setitem(globals(), "DIST", np.array([0.1, 0, 0, 0, 0]))
+    make = {
+        "folder": lambda: _folder(tmp_path, DIST),
+        "KITTI": lambda: _kitti(tmp_path, "extract"),
+        "Semi-Truck": lambda: _truck_list(_semi_truck(tmp_path)),
+    }
+    path = make[source]()
+    pair = open_source(path, trusted=True)[0]
+    _require_dots(pair, _points(), limit=0.1)
+    for image in tmp_path.rglob("*.png"):
+        assert cv2.imwrite(str(image), np.full((WH[1], WH[0], 3), 255, np.uint8))
+    pair = open_source(path, trusted=True)[0]
+    assert min(pair.left.min(), pair.right.min()) == 255
+    assert pair.wh[0] > 0.9 * WH[0]
+    assert pair.wh[1] > 0.9 * WH[1]
+
+
+def test_lenses_that_leave_nothing_are_refused(tmp_path: Path) -> None:
+    _folder(tmp_path, np.array([0, 0, 1.0, 0, 0]))
+    with pytest.raises(UserError, match=r"a: its lenses leave nothing of 320x180 without a black"):
+        open_source(tmp_path)[0]
 
 
 def test_folder_has_no_true_pose_unless_it_is_trusted(tmp_path: Path) -> None:
@@ -328,6 +357,23 @@ def test_shards_truth_ends_where_the_stored_flow_does(
     u, v = np.meshgrid(np.arange(96), np.arange(54))
     ends = np.stack([u, v], axis=-1).reshape(-1, 2) + flow.reshape(-1, 2)
     worst("rays against flow", project(pair.K_right, truth.rays_right) - ends, 1e-3)
+
+
+@pytest.mark.parametrize("position", [0, 1, 2])
+def test_shards_reversed_truth_ends_where_the_reverse_flow_does(
+    shards: Path, position: int, worst: Callable[..., None]
+) -> None:
+    pairs = open_source(shards, split="test", truth_points=None).in_both_directions()
+    forward, pair = pairs[2 * position], pairs[2 * position + 1]
+    frame = ShardSet(shards, "test")[0]
+    flow, status = frame.reverse_flow(position), frame.read("flow_status_reverse", position)
+    np.testing.assert_array_equal(pair.left, forward.right)
+    np.testing.assert_allclose(pair.T_right_left, inverse(forward.T_right_left), atol=1e-12)
+    np.testing.assert_array_equal(pair.turn_left, forward.turn_right)
+    np.testing.assert_array_equal(pair.truth.visible, (status.ravel() & 1) > 0)
+    u, v = np.meshgrid(np.arange(96), np.arange(54))
+    ends = np.stack([u, v], axis=-1).reshape(-1, 2) + flow.reshape(-1, 2)
+    worst("reversed rays", project(pair.K_right, pair.truth.rays_right) - ends, 1e-3)
 
 
 def test_shards_turns_are_the_drawn_perturbations(shards: Path) -> None:

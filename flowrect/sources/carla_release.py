@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,7 @@ def open_carla(root: Path, rows: Sequence[dict[str, str]] | None = None) -> Pair
         layout=f"{root}: the release's Carla set",
         fingerprint=digest_files([config, *sorted(files)]),
         largest_turn_deg=_largest_turn_deg(items),
+        scene=attrgetter("poses"),
     )
 
 

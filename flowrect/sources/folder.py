@@ -10,6 +10,7 @@ from flowrect.files import IMAGE_SUFFIXES, read_rgb
 from flowrect.formats import read_calibration
 from flowrect.sample import Pair
 from flowrect.sources.pairs import Pairs, digest_files
+from flowrect.sources.rim import without_rim
 from simgen.errors import UserError
 
 CALIBRATION = "calib.yaml"
@@ -61,7 +62,7 @@ def _read(rig: Calibration, trusted: bool, scene: str, item: Item) -> Pair:
     for image, path in ((left, item[0]), (right, item[1])):
         rig.require_size((image.shape[1], image.shape[0]), str(path))
     left, right = rig.undistorted(left, right)
-    return Pair(
+    pair = Pair(
         left=left,
         right=right,
         K_left=rig.K_left,
@@ -71,3 +72,6 @@ def _read(rig: Calibration, trusted: bool, scene: str, item: Item) -> Pair:
         name=item[0].stem,
         scene=scene,
     )
+    if rig.lens == "fisheye":  # straightened, its border moves outwards
+        return pair
+    return without_rim(pair, rig.dist_left, rig.dist_right)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy as np
 from flowrect.files import matrix, read_rgb, read_rows, undistorted
 from flowrect.sample import Image, Pair
 from flowrect.sources.pairs import Pairs, digest_files
+from flowrect.sources.rim import without_rim
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, transform
 
@@ -57,7 +59,13 @@ def open_kitti(root: Path, rows: Sequence[dict[str, str]] | None = None) -> Pair
     """
     items = _found(root) if rows is None else [_listed(root, row) for row in rows]
     files = {path for item in items for path in (item.left, item.right, item.calib)}
-    return Pairs(items, _read, layout=f"{root}: KITTI raw", fingerprint=digest_files(sorted(files)))
+    return Pairs(
+        items,
+        _read,
+        layout=f"{root}: KITTI raw",
+        fingerprint=digest_files(sorted(files)),
+        rig=attrgetter("calib", "drive"),
+    )
 
 
 def read_list(path: Path) -> list[dict[str, str]]:
@@ -96,7 +104,7 @@ def _listed(root: Path, row: dict[str, str]) -> Item:
 def _read(item: Item) -> Pair:
     left, right = (_camera(item, name) for name in (LEFT, RIGHT))
     T_right_left = right.T_cam_reference @ inverse(left.T_cam_reference)
-    return Pair(
+    pair = Pair(
         left=_image(item.left, left),
         right=_image(item.right, right),
         K_left=left.K,
@@ -106,6 +114,7 @@ def _read(item: Item) -> Pair:
         name=f"{item.drive} {item.left.stem}",
         scene=item.drive,
     )
+    return without_rim(pair, left.dist, right.dist)
 
 
 def _image(path: Path, camera: Camera) -> Image:

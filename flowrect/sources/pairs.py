@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
-from typing import Generic, TypeVar, overload
+from typing import Any, Generic, TypeVar, overload
 
 from flowrect.sample import Pair
 from simgen.errors import UserError
 
 Item = TypeVar("Item")
+
+
+def _the_same(_: Any) -> Hashable:
+    return None
+
+
+def _its_own(item: Any) -> Hashable:
+    return item
 
 
 class Pairs(Sequence[Pair], Generic[Item]):
@@ -24,10 +32,21 @@ class Pairs(Sequence[Pair], Generic[Item]):
         layout: str,
         fingerprint: str,
         largest_turn_deg: float = 0.0,
+        rig: Callable[[Item], Hashable] = _the_same,
+        scene: Callable[[Item], Hashable] = _its_own,
+        reverse: Callable[[Item], Item] | None = None,
     ) -> None:
+        """Functions are module-level ones or partials, so that other processes know them.
+
+        Args:
+          rig: equal for pairs of the same cameras, that is of one K and image size.
+          scene: equal for pairs that show the same things; such pairs are neighbours.
+          reverse: the pair from right to left; None where the source has only left to right.
+        """
         if not items:
             raise UserError(f"{layout}: no pairs in it.")
         self.items, self._read = list(items), read
+        self._rig, self._scene, self._reverse = rig, scene, reverse
         self.layout = layout
         """what was found, and where"""
         self.fingerprint = fingerprint
@@ -45,9 +64,37 @@ class Pairs(Sequence[Pair], Generic[Item]):
     def __getitem__(self, index: int | slice) -> Pair | Pairs[Item]:
         if not isinstance(index, slice):
             return self._read(self.items[index])
-        part = digest([self.fingerprint, repr(range(len(self))[index])])
-        return Pairs(self.items[index], self._read, layout=self.layout, fingerprint=part,
-                     largest_turn_deg=self.largest_turn_deg)  # fmt: skip
+        return self._with(self.items[index], repr(range(len(self))[index]))
+
+    def _with(self, items: Sequence[Item], what: str) -> Pairs[Item]:
+        return Pairs(
+            items,
+            self._read,
+            layout=self.layout,
+            fingerprint=digest([self.fingerprint, what]),
+            largest_turn_deg=self.largest_turn_deg,
+            rig=self._rig,
+            scene=self._scene,
+            reverse=self._reverse,
+        )
+
+    def in_both_directions(self) -> Pairs[Item]:
+        """Each pair, and its reverse after it where the source has one."""
+        if self._reverse is None:
+            return self
+        both = [x for item in self.items for x in (item, self._reverse(item))]
+        return self._with(both, "both directions")
+
+    def one_of_each_rig(self) -> list[Pair]:
+        """A pair of every set of cameras."""
+        items = {self._rig(item): item for item in reversed(self.items)}
+        return [self._read(item) for item in items.values()]
+
+    def start_of_last(self, num: int) -> int:
+        """Where the last ``num`` pairs begin, and the others of their scenes: 0 if nowhere else."""
+        start = max(0, len(self) - num)
+        scenes = [self._scene(item) for item in self.items[: start + 1]]
+        return scenes.index(scenes[-1])
 
     def __str__(self) -> str:
         return f"{self.layout}: {len(self)} pairs"

@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from flowrect.files import matrix, read_json, read_rgb, read_rows, rotation, undistorted
 from flowrect.sample import Pair
 from flowrect.sources.pairs import Pairs, digest_files
+from flowrect.sources.rim import without_rim
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, transform
 
@@ -55,6 +57,7 @@ def open_semi_truck(root: Path, rows: Sequence[dict[str, str]]) -> Pairs[Item]:
         partial(_read, _rigs(files)),
         layout=f"{root}: the release's Semi-Truck set",
         fingerprint=digest_files([*files, *sorted(images)]),
+        rig=attrgetter("week", "capture", "cam_type", "cameras"),
     )
 
 
@@ -86,7 +89,7 @@ def _read(rigs: Rigs, item: Item) -> Pair:
     T_right_left = _relative_pose(rig["extrinsics"], *item.cameras, where)
     K_left, dist_left = _optics(rig["intrinsics"], item.cameras[0], where)
     K_right, dist_right = _optics(rig["intrinsics"], item.cameras[1], where)
-    return Pair(
+    pair = Pair(
         left=undistorted(read_rgb(item.left), K_left, dist_left),
         right=undistorted(read_rgb(item.right), K_right, dist_right),
         K_left=K_left,
@@ -97,6 +100,7 @@ def _read(rigs: Rigs, item: Item) -> Pair:
         scene=f"{item.week} {item.capture}",
         daylight=next((d for d in DAYLIGHTS if d in str(item.left)), ""),
     )
+    return without_rim(pair, dist_left, dist_right)
 
 
 def _rig(rigs: Rigs, item: Item) -> Rig:

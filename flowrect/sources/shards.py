@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,13 @@ class Item:
     """in the rig's list of pairs"""
     cameras: tuple[int, int]
     """(left, right)"""
+    scene: int
+    reverse: bool = False
+    """from the pair's right camera to its left one, which then goes by the name of right"""
+
+    def reversed(self) -> Item:
+        """The same pair in the other direction."""
+        return replace(self, cameras=self.cameras[::-1], reverse=not self.reverse)
 
 
 def open_shards(
@@ -50,12 +58,20 @@ def open_shards(
         )
     cameras = frames[0].pairs  # of the rig, the same for all frames
     frames.close()
+    in_scene = int(frames.manifest.config["frames_per_scene"])
     return Pairs(
-        [Item(index, i, pair) for index in frames.indices for i, pair in enumerate(cameras)],
+        [
+            Item(index, i, pair, index // in_scene)
+            for index in frames.indices
+            for i, pair in enumerate(cameras)
+        ],
         partial(_read, frames, truth_points),
         layout=f"{folder}: simgen shards, {split or 'train and test'}",
         fingerprint=digest([f"{s.name} {s.sha256}" for s in shards] + [str(truth_points)]),
         largest_turn_deg=float(frames.manifest.config["rig"]["perturbation_deg"]),
+        rig=attrgetter("cameras"),
+        scene=attrgetter("scene"),
+        reverse=Item.reversed,
     )
 
 
@@ -76,7 +92,7 @@ def _read(frames: ShardSet, truth_points: int | None, item: Item) -> Pair:
         frame.read(name) for name in ("K", "T_world_cam", "T_world_cam_nominal", "perturbation_deg")
     )
     spec, T_right_left = frame.spec, inverse(T[right]) @ T[left]
-    depth, status = frame.read("depth", left), frame.read("flow_status", item.position)
+    status = "flow_status_reverse" if item.reverse else "flow_status"
     return Pair(
         left=frame.read("image", left),
         right=frame.read("image", right),
@@ -86,7 +102,13 @@ def _read(frames: ShardSet, truth_points: int | None, item: Item) -> Pair:
         T_right_left_nominal=inverse(T_nominal[right]) @ T_nominal[left],
         turn_left=_turn(drawn_deg[left]),
         turn_right=_turn(drawn_deg[right]),
-        truth=from_depth(depth, status, K[left], T_right_left, num=truth_points),
+        truth=from_depth(
+            frame.read("depth", left),
+            frame.read(status, item.position),
+            K[left],
+            T_right_left,
+            num=truth_points,
+        ),
         name=f"frame {item.frame}, cameras {left} and {right}",
         scene=str(frame.scene_index),
         weather=str(spec["weather"]["name"]),
