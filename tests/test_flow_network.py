@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,9 @@ import torch
 from safetensors.torch import load_file, save_file
 from test_train import interrupt_after
 from tiny_network import network, road_set, training
+from torchvision.models.optical_flow import Raft_Large_Weights, Raft_Small_Weights
 
-from flowrect import train, train_flow
+from flowrect import flow_network, train, train_flow
 from flowrect.augment import Augmentation
 from flowrect.config import FlowOptions, LossWeights
 from flowrect.drectify import rectify
@@ -225,6 +227,60 @@ def test_weights_come_back(weights):
     assert not any(p.requires_grad for p in raft.parameters())
     saved = load_file(weights)
     assert all(torch.equal(x, saved[k]) for k, x in raft.raft.state_dict().items())
+
+
+def random_state(size: str) -> dict[str, torch.Tensor]:
+    torch.manual_seed(1)
+    return FlowNetwork(size).raft.state_dict()
+
+
+@pytest.mark.parametrize("size", ["small", "large"])
+def test_weights_say_which_network_they_are_of(size, tmp_path):
+    state, path = random_state(size), tmp_path / f"raft_{size}.pth"
+    torch.save(state, path)
+    loaded = load_flow(str(path)).raft.state_dict()
+    assert state.keys() == loaded.keys()
+    assert all(torch.equal(x, loaded[k]) for k, x in state.items())
+
+
+@pytest.mark.parametrize(
+    "name, enum, size",
+    [
+        ("torchvision", Raft_Small_Weights, "small"),
+        ("torchvision-large", Raft_Large_Weights, "large"),
+    ],
+)
+def test_torchvisions_own_are_fetched_with_their_hash_checked(name, enum, size, monkeypatch):
+    state, asked = random_state(size), []
+
+    def get_state_dict(weights, **options):
+        asked.append((weights, options["check_hash"]))
+        return state
+
+    monkeypatch.setattr(enum, "get_state_dict", get_state_dict)
+    loaded = load_flow(name).raft.state_dict()
+    assert all(torch.equal(x, loaded[k]) for k, x in state.items())
+    assert asked == [(flow_network.TORCHVISION[name], True)]
+
+
+def test_weights_that_cannot_be_fetched_say_where_they_are(monkeypatch):
+    def get_state_dict(weights, **options):
+        raise OSError("no route")
+
+    monkeypatch.setattr(Raft_Large_Weights, "get_state_dict", get_state_dict)
+    with pytest.raises(UserError, match=r"raft_large_C_T_SKHT_K_V2-b5c70766\.pth \(no route\)"):
+        load_flow("torchvision-large")
+
+
+def test_the_hash_in_a_name_is_that_of_the_content(tmp_path):
+    torch.save(random_state("small"), tmp_path / "raft.pth")
+    content = (tmp_path / "raft.pth").read_bytes()
+    whole = tmp_path / f"raft_small-{hashlib.sha256(content).hexdigest()[:8]}.pth"
+    whole.write_bytes(content)
+    load_flow(str(whole))
+    whole.write_bytes(content[:-1])
+    with pytest.raises(UserError, match="its name says that its sha256 begins with"):
+        load_flow(str(whole))
 
 
 def test_the_network_learns_from_the_teacher_alone(data, tmp_path, weights):
