@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import data_loading
 import flow_metric
+import method_time
 import numpy as np
+import paper_step
 import pytest
 import torch
+import tune_methods
+import tyro
 from scipy.spatial.transform import Rotation
-from tiny_network import road_set
+from tiny_network import TINY, network, road_set
 
+from flowrect.config import TRAINING
 from flowrect.correspondences import Correspondences
 from flowrect.geometry import pixel_grid, project, unproject
 from flowrect.loading import Loading, PairLoader
 from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing
 from flowrect.sample import Batch
+from flowrect.solvers import NoSolution
 from flowrect.sources import open_source
 from flowrect.train_flow import Views, error_sizes
+from simgen.errors import UserError
 
 WH = (48, 32)
 
@@ -84,3 +94,63 @@ def test_the_vertical_error_of_seeing_nothing_is_the_vertical_flow(tmp_path):
     assert 0.5 < wrong[5] < 12
     # over what both cameras see, against all: of the same size
     assert unrectified[2] == pytest.approx(unrectified[5], rel=0.3)
+
+
+# --- method_time ---------------------------------------------------------------------------------
+
+
+def test_times_count_failures_and_their_seconds():
+    timings = [
+        method_time.Timing(1.0, {"matching": 0.8, "solving": 0.2}, failed=False),
+        method_time.Timing(2.0, {"matching": 1.6, "solving": 0.4}, failed=False),
+        method_time.Timing(9.0, {}, failed=True),
+    ]
+    name, median, most, stages, num, failed = method_time.row("x", timings)
+    assert (name, median, num, failed) == ("x", 2.0, 3, 1)
+    assert most == pytest.approx(np.percentile([1, 2, 9], 95))
+    assert stages == "matching 1.20, solving 0.30"
+
+
+def test_a_method_that_always_fails_has_times_and_no_stages():
+    timings = 2 * [method_time.Timing(3.0, {}, failed=True)]
+    assert method_time.row("x", timings) == ["x", 3.0, 3.0, "–", 2, 2]
+    assert method_time.row("x", []) == ["x", "–", "–", "–", 0, 0]
+
+
+def test_a_failure_is_timed(tmp_path):
+    def fails(*arguments: object):
+        raise NoSolution("no matches")
+
+    pair = open_source(road_set(tmp_path, 2), split="train", truth_points=None)[0]
+    timing = method_time.once(fails, pair)
+    assert timing.failed
+    assert timing.seconds > 0
+
+
+# --- paper_step, data_loading, tune_methods ------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["inference", "training"])
+def test_a_step_runs_in_its_own_mode(mode):
+    net, training = network(TINY), replace(TRAINING["small"], model=TINY)
+    net.train(mode == "inference")
+    before = [p.clone() for p in net.parameters()]
+    optimiser = torch.optim.Adam(net.parameters(), lr=1e-3)
+    batch = paper_step.noise_batch(1, TINY.input_wh)
+    paper_step.run_once(mode, net, optimiser, batch, training)
+    assert net.training == (mode == "training")
+    learnt = any(not torch.equal(a, b) for a, b in zip(before, net.parameters(), strict=True))
+    assert learnt == (mode == "training")
+
+
+def test_batches_are_loaded_as_small_trains():
+    options = tyro.cli(data_loading.Options, args=["set"])
+    assert options.batch == TRAINING["small"].loading.batch == 8
+
+
+def test_learned_matches_meet_every_solver():
+    num = len(tune_methods.FITS) + len(tune_methods.RANSACS)
+    assert all(len(tune_methods.SWEEP[name]) == num for name in ("aliked", "disk", "xfeat"))
+    assert list(tune_methods.matchers(("dis", "sift"))) == ["dis", "sift"]
+    with pytest.raises(UserError, match="--only nobody: expected some of"):
+        tune_methods.matchers(("dis", "nobody"))
