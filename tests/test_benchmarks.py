@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import ablation
 import data_loading
 import flow_metric
 import method_time
@@ -154,3 +156,42 @@ def test_learned_matches_meet_every_solver():
     assert list(tune_methods.matchers(("dis", "sift"))) == ["dis", "sift"]
     with pytest.raises(UserError, match="--only nobody: expected some of"):
         tune_methods.matchers(("dis", "nobody"))
+
+
+# --- ablation ------------------------------------------------------------------------------------
+
+
+def test_arms_differ_in_what_they_are_called_after():
+    options = tyro.cli(
+        ablation.Options, args=["--data", "d/train", "--test", "test", "--arms", *ablation.ARMS]
+    )
+    names = {a: ablation.folder(options, ablation.ARMS[a], 2).name for a in options.arms}
+    assert names == {
+        "with flow loss": "train-exact-2-250x4-0.5-gt",
+        "without": "train-none-2-250x4-0.5-gt",
+        "without matching": "train-exact-2-250x4-0-gt",
+        "conv3d decoder": "train-exact-2-250x4-0.5-gt-conv3d",
+        "without matching, conv3d decoder": "train-exact-2-250x4-0-gt-conv3d",
+    }
+    train, test = ablation.commands(options, ablation.ARMS["conv3d decoder"], 2)
+    assert train[train.index("--model.decoder") + 1] == "conv3d"
+    assert train[train.index("--loss.matching") + 1] == 0.5
+    last = Path("runs/ablation/train-exact-2-250x4-0.5-gt-conv3d/last.safetensors")
+    assert f"network={last}" in test
+
+
+def test_two_arms_in_one_folder_are_refused():
+    arms = ("with flow loss", "without matching")
+    options = ablation.Options(Path("train"), Path("test"), matching=0.0, arms=arms)
+    with pytest.raises(UserError, match="train the same"):
+        ablation.main(options)
+
+
+def test_arms_are_compared_with_the_first_one():
+    rng = np.random.default_rng(0)
+    first = rng.random((3, 20, 1))
+    found = {"a": first, "b": first + 0.5, "c": first - 0.25}
+    rows = {row[0]: row[1:] for row in ablation.table(found, np.arange(20))}
+    assert rows["b − a [95 %]"] == ["+0.500 [+0.500, +0.500]"]
+    assert rows["c − a [95 %]"] == ["-0.250 [-0.250, -0.250]"]
+    assert rows["a"][0].startswith(f"{first[..., 0].mean():.3f} (")
