@@ -39,9 +39,10 @@ Size = Literal["small", "large"]
 SIZES = {"small": raft_small, "large": raft_large}
 TORCHVISION = {
     "torchvision": Raft_Small_Weights.C_T_V2,
-    "torchvision-large": Raft_Large_Weights.C_T_SKHT_K_V2,
+    "torchvision-large": Raft_Large_Weights.C_T_SKHT_K_V1,
 }
-"""weights that torchvision fetches; the large ones are the paper's teacher"""
+"""weights that torchvision fetches; the large ones, fine-tuned on KITTI, are those of the paper's
+release"""
 
 
 @dataclass(frozen=True)

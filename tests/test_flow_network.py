@@ -268,7 +268,7 @@ def test_weights_that_cannot_be_fetched_say_where_they_are(monkeypatch):
         raise OSError("no route")
 
     monkeypatch.setattr(Raft_Large_Weights, "get_state_dict", get_state_dict)
-    with pytest.raises(UserError, match=r"raft_large_C_T_SKHT_K_V2-b5c70766\.pth \(no route\)"):
+    with pytest.raises(UserError, match=r"raft_large_C_T_SKHT_K_V1-4a6a5039\.pth \(no route\)"):
         load_flow("torchvision-large")
 
 
