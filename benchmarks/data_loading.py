@@ -1,6 +1,6 @@
 """How many pairs per second reach the network, from sets of the sizes given?
 
-    python benchmarks/data_loading.py SET [SET ...] [--workers 2] [--batch 12] [--cache FOLDER]
+    python benchmarks/data_loading.py SET [SET ...] [--workers 2] [--batch 8] [--cache FOLDER]
 
 For each rendered set, a mean over the time given after one batch of warm-up:
 
@@ -27,6 +27,7 @@ from _table import markdown, write_csv
 
 from flowrect.augment import Augmentation
 from flowrect.cache import cached
+from flowrect.config import TRAINING
 from flowrect.loading import Loading, PairLoader
 from flowrect.resize import Sizing
 from flowrect.sample import Pair
@@ -44,8 +45,8 @@ class Options:
     """folders of rendered sets"""
     workers: int = 2
     """processes of the loader"""
-    batch: int = 12
-    """pairs in a batch"""
+    batch: int = TRAINING["small"].loading.batch
+    """pairs in a batch; what ``small`` trains with"""
     seconds: float = 15.0
     """to measure each column for"""
     cache: Path | None = None

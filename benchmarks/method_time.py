@@ -2,14 +2,20 @@
 
     python benchmarks/method_time.py --data test/ [--methods network sift+5dof …] [--threads 2]
 
-Batch 1, the same pairs for all, after a warm-up that is not counted. Median and 95th percentile.
-The figures hold for the machine that is named, and for nothing else running on it.
+Batch 1, the same pairs for all, after a warm-up that is not counted. Median and 95th percentile
+over all pairs, those for which a method fails included. Methods run in a process of their own,
+which begins with the number of threads that torch, OpenCV, NumPy and SciPy may use. The table goes
+to OUT/times.csv and OUT/times.md. It holds for the machine that is named, and for nothing else
+running on it.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import platform
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,14 +23,20 @@ import cv2
 import numpy as np
 import torch
 import tyro
-from _table import markdown
+from _table import markdown, write_csv
 from rich.progress import track
 
 from flowrect.evaluate import wh_of
 from flowrect.evaluation.delivered import Delivery, prior
-from flowrect.methods import load_method
+from flowrect.files import make_folder
+from flowrect.methods import Method, load_method
+from flowrect.sample import Pair
 from flowrect.solvers import NoSolution
 from simgen.errors import UserError
+
+HEADER = ("method", "median [s]", "95 % [s]", "stages, median [s]", "pairs", "failed")
+POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""read once, when NumPy, SciPy and torch are imported"""
 
 
 @dataclass(frozen=True)
@@ -39,48 +51,79 @@ class Options:
     pairs: int = 12
     """that are timed, after one that is not"""
     threads: int = 0
-    """of torch and OpenCV; 0: as they choose"""
+    """of torch, OpenCV, NumPy and SciPy; 0: as they choose"""
+    out: Path = Path("results")
+    """folder for times.csv and times.md"""
 
 
-def timed(name: str, options: Options) -> list[object]:
-    """A row: median and 95th percentile of the whole, medians of the stages [s]."""
-    method = load_method(name)
-    pairs = Delivery(options.data, "test", wh_of(options.size), options.pairs + 1).open()
-    whole, stages, failed = [], [], 0
-    for i in track(range(len(pairs)), name):
-        pair = pairs[i].input
-        begin = time.perf_counter()
-        try:
-            estimate = method(pair.left, pair.right, pair.K_left, pair.K_right,
-                              prior(pair, "nominal"))  # fmt: skip
-        except NoSolution:
-            failed += 1
-            continue
-        if torch.cuda.is_available():
-            torch.cuda.synchronize()
-        if i > 0:
-            whole.append(time.perf_counter() - begin)
-            stages.append(estimate.seconds)
-    names = list(dict.fromkeys(k for s in stages for k in s))
-    parts = ", ".join(f"{k} {np.median([s.get(k, 0) for s in stages]):.2f}" for k in names)
-    return [name, float(np.median(whole)), float(np.percentile(whole, 95)), parts, failed]
+@dataclass(frozen=True)
+class Timing:
+    """What a pair took."""
+
+    seconds: float
+    stages: dict[str, float]
+    """[s]; none where the method failed"""
+    failed: bool
 
 
-def main(options: Options) -> None:
-    """Prints the table."""
+def timed(name: str, options: Options) -> list[Timing]:
+    """Of each pair, without the first one."""
     if options.threads:
         torch.set_num_threads(options.threads)
         cv2.setNumThreads(options.threads)
+    method = load_method(name)
+    pairs = Delivery(options.data, "test", wh_of(options.size), options.pairs + 1).open()
+    return [once(method, pairs[i].input) for i in track(range(len(pairs)), name)][1:]
+
+
+def once(method: Method, pair: Pair) -> Timing:
+    """One pair, from images to pose."""
+    start, begin = prior(pair, "nominal"), time.perf_counter()
+    try:
+        stages = method(pair.left, pair.right, pair.K_left, pair.K_right, start).seconds
+        failed = False
+    except NoSolution:
+        stages, failed = {}, True
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
+    return Timing(time.perf_counter() - begin, stages, failed)
+
+
+def row(name: str, timings: Sequence[Timing]) -> list[object]:
+    """Median and 95th percentile of the whole, medians of the stages [s]; "–" without any."""
+    solved = [t.stages for t in timings if not t.failed]
+    names = dict.fromkeys(stage for stages in solved for stage in stages)
+    parts = [f"{n} {np.median([stages.get(n, 0.0) for stages in solved]):.2f}" for n in names]
+    whole = [t.seconds for t in timings]
+    figures = [float(np.percentile(whole, q)) for q in (50, 95)] if whole else ["–", "–"]
+    failed = sum(t.failed for t in timings)
+    return [name, *figures, ", ".join(parts) or "–", len(timings), failed]
+
+
+def main(options: Options) -> None:
+    """Prints and writes the table."""
+    make_folder(options.out)
+    os.environ.update(dict.fromkeys(POOLS, str(options.threads)) if options.threads else {})
     rows = []
-    for name in options.methods:
-        try:
-            rows.append(timed(name, options))
-        except UserError as error:
-            print(f"{name} left out: {error}")
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        for name in options.methods:
+            try:
+                rows.append(row(name, pool.apply(timed, (name, options))))
+            except UserError as error:
+                print(f"{name} left out: {error}")
+    text = f"{_conditions(options)}\n\n{markdown(HEADER, rows)}\n"
+    (options.out / "times.md").write_text(text, encoding="utf-8")
+    write_csv(options.out / "times.csv", HEADER, rows)
+    print(f"\n{text}")
+
+
+def _conditions(options: Options) -> str:
     device = torch.cuda.get_device_name() if torch.cuda.is_available() else platform.processor()
-    print(f"\n{options.size}, {device or platform.machine()}, torch {torch.get_num_threads()} and "
-          f"OpenCV {cv2.getNumThreads()} threads\n")  # fmt: skip
-    print(markdown(["method", "median [s]", "95 % [s]", "stages, median [s]", "failed"], rows))
+    threads = f"{options.threads} threads" if options.threads else "threads as libraries choose"
+    return (
+        f"{options.size}, one pair at a time after one that is not counted, "
+        f"{device or platform.machine()} of {os.cpu_count()} cores, {threads}."
+    )
 
 
 if __name__ == "__main__":

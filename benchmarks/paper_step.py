@@ -99,6 +99,7 @@ def run_once(
     training: TrainOptions,
 ) -> None:  # fmt: skip
     """One training step, or one inference; waits for the device."""
+    model.train(mode == "training")  # norms and the number of passes differ
     with torch.set_grad_enabled(mode == "training"):
         prediction = predict(model, batch, training)
         if mode == "training":

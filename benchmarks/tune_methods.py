@@ -1,6 +1,6 @@
-"""Which settings of the classical methods are best on training frames.
+"""Which settings of matchers and robust solvers are best on training frames.
 
-    python benchmarks/tune_methods.py --data train/ [--limit 60] [--size 512x256]
+    python benchmarks/tune_methods.py --data train/ [--limit 60] [--size 512x256] [--only aliked …]
 
 Test frames are never looked at. Matches are found once a setting; every solver setting gets the
 same ones. Geodesic error in degrees; failures are counted with the error of the prior. The last
@@ -25,6 +25,7 @@ from flowrect.matches import Matcher
 from flowrect.solvers import NoSolution, Solver
 from flowrect.solvers.essential import Ransac, lo_ransac, magsac
 from flowrect.solvers.fit import FIVE_DOF, fit
+from simgen.errors import UserError
 from simgen.geometry import vector_from_rotation
 
 
@@ -36,6 +37,8 @@ class Options:
     limit: int = 60
     """pairs, evenly chosen"""
     size: str = "512x256"
+    only: tuple[str, ...] = ()
+    """rows of the sweep, such as aliked; all if not given"""
 
 
 THRESHOLDS = (0.25, 0.5, 1.0, 2.0)
@@ -44,35 +47,44 @@ RANSACS: dict[str, Solver] = {
     **{f"loransac {t:g}": partial(lo_ransac, options=Ransac(t)) for t in THRESHOLDS},
     **{f"magsac {t:g}": partial(magsac, options=Ransac(t)) for t in THRESHOLDS},
 }
-SWEEP: dict[str, tuple[Matcher, dict[str, Solver]]] = {
-    **{f"sift {c:g} {r:g}": (partial(sift.match, options=replace(sift.TUNED, contrast=c, ratio=r)),
-                             FITS)
+SETTINGS: dict[str, Matcher] = {
+    **{f"sift {c:g} {r:g}": partial(sift.match, options=replace(sift.TUNED, contrast=c, ratio=r))
        for c in (0.04, 0.01, 0.003) for r in (0.75, 0.85)},
-    **{f"dis texture {t:g}": (partial(dis.match, options=replace(dis.TUNED, texture=t)), FITS)
+    **{f"dis texture {t:g}": partial(dis.match, options=replace(dis.TUNED, texture=t))
        for t in (0.0, 0.5, 1.0, 2.0, 4.0)},
-    "sift": (sift.match, RANSACS),
-    "dis": (dis.match, RANSACS),
-    "sift and dis": (load_matcher("sift-dis"), FITS),
 }  # fmt: skip
-"""matchers, and the solvers that are tried on their matches"""
+SWEEP: dict[str, dict[str, Solver]] = {
+    **dict.fromkeys((*SETTINGS, "sift-dis"), FITS),
+    **dict.fromkeys(("sift", "dis"), RANSACS),
+    **dict.fromkeys(("aliked", "disk", "xfeat"), FITS | RANSACS),
+}
+"""settings or names of matchers, and the solvers that are tried on their matches"""
+
+
+def matchers(only: tuple[str, ...]) -> dict[str, Matcher]:
+    """Those of the sweep with these names, or all; UserError if there is no such row."""
+    if unknown := set(only) - SWEEP.keys():
+        raise UserError(f"--only {', '.join(sorted(unknown))}: expected some of {list(SWEEP)}.")
+    return {name: SETTINGS.get(name) or load_matcher(name) for name in only or SWEEP}
 
 
 def main(options: Options) -> None:
     """Prints the table."""
+    found = matchers(options.only)
     pairs = Delivery(options.data, "train", wh_of(options.size), options.limit).open()
-    errors = {(m, s): [] for m, (_, solvers) in SWEEP.items() for s in solvers}
+    errors = {(m, s): [] for m in found for s in SWEEP[m]}
     failed, excess = dict.fromkeys(errors, 0), {key: [] for key in errors}
     for i in track(range(len(pairs)), "pairs"):
         pair = pairs[i].input
         start, R_gt = prior(pair, "nominal"), pair.T_right_left[:3, :3]
-        for m, (match, solvers) in SWEEP.items():
+        for m, match in found.items():
             matches = match(pair.left, pair.right)
-            for s, solver in solvers.items():
+            for s, solver in SWEEP[m].items():
                 try:
-                    found = solver(matches, pair.K_left, pair.K_right, start)
-                    x = vector_from_rotation(found.R @ R_gt.T)
-                    if found.covariance is not None:
-                        excess[m, s].append(x @ np.linalg.solve(found.covariance[:3, :3], x) / 3)
+                    pose = solver(matches, pair.K_left, pair.K_right, start)
+                    x = vector_from_rotation(pose.R @ R_gt.T)
+                    if pose.covariance is not None:
+                        excess[m, s].append(x @ np.linalg.solve(pose.covariance[:3, :3], x) / 3)
                 except NoSolution:
                     x, failed[m, s] = vector_from_rotation(start[:3, :3] @ R_gt.T), failed[m, s] + 1
                 errors[m, s].append(np.rad2deg(np.linalg.norm(x)))

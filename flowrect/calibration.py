@@ -15,7 +15,7 @@ import torch
 
 from flowrect.drectify import rectify
 from flowrect.files import matrix
-from flowrect.sample import Image
+from flowrect.sample import Image, require_fit
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
@@ -40,6 +40,8 @@ class Calibration:
     """what dist means: k1, k2, p1, p2[, k3, …] of OpenCV, or k1 … k4 of cv2.fisheye"""
 
     def __post_init__(self) -> None:
+        for side, K in (("left", self.K_left), ("right", self.K_right)):
+            require_fit(f"the calibration's K_{side}", K, self.wh)
         t = self.T_right_left[:3, 3]
         if not (np.isfinite(t).all() and t.any()):
             raise UserError(

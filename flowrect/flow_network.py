@@ -1,24 +1,32 @@
-"""Optical flow by RAFT (small), torchvision's network: weights, images in 0…1, flow out.
+"""Optical flow by RAFT, torchvision's networks: weights, images in 0…1, flow out.
 
 Used where there is no depth to take exact flow from: as the frozen teacher of the paper's
-self-supervision. Torchvision's own weights can be
-fetched where there is a network; ``flowrect.train_flow`` trains some where there is none.
+self-supervision, which is the large network, fine-tuned on KITTI. Torchvision's own weights can be
+fetched where there is a network; ``flowrect.train_flow`` trains the small one where there is none.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from pydantic import TypeAdapter, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
-from torchvision.models.optical_flow import Raft_Small_Weights, raft_small
+from torchvision.models.optical_flow import (
+    Raft_Large_Weights,
+    Raft_Small_Weights,
+    raft_large,
+    raft_small,
+)
 
 from flowrect.weights import SHIPPED
 from simgen.errors import UserError
@@ -27,6 +35,14 @@ FORMAT = "flowrect-flow-1"
 MIN_SIDE = 128
 """[px] RAFT looks at an eighth of the size, and halves that three times"""
 UPDATES = 12
+Size = Literal["small", "large"]
+SIZES = {"small": raft_small, "large": raft_large}
+TORCHVISION = {
+    "torchvision": Raft_Small_Weights.C_T_V2,
+    "torchvision-large": Raft_Large_Weights.C_T_SKHT_K_V1,
+}
+"""weights that torchvision fetches; the large ones, fine-tuned on KITTI, are those of the paper's
+release"""
 
 
 @dataclass(frozen=True)
@@ -42,9 +58,9 @@ class FlowCard:
 class FlowNetwork(nn.Module):
     """RAFT from images in 0…1."""
 
-    def __init__(self) -> None:
+    def __init__(self, size: Size = "small") -> None:
         super().__init__()
-        self.raft = raft_small(weights=None)
+        self.raft = SIZES[size](weights=None)
 
     def flow(self, left: Tensor, right: Tensor) -> Tensor:
         """Flow (B, 2, H, W) [px] from left to right images (B, 3, H, W)."""
@@ -76,22 +92,23 @@ def save_flow(path: Path, network: FlowNetwork, card: FlowCard) -> None:
 
 
 def load_flow(name: str) -> FlowNetwork:
-    """A frozen network.
+    """A frozen network, small or large as the weights are.
 
     Args:
       name: a file of ``flowrect.train_flow`` (.safetensors), the name of shipped weights, a file of
-        torchvision's ``raft_small`` (.pth), or "torchvision", which fetches that file and checks
-        its hash.
+        torchvision's (.pth), or "torchvision" (small) or "torchvision-large", which fetch theirs.
+        A hash in the name of a .pth is checked, fetched or not.
 
     Raises:
       UserError: there are no such weights, or they are not RAFT's.
     """
-    network = FlowNetwork()
-    state = _torchvision_state() if name == "torchvision" else _state_of_file(_find(name))
+    state = _fetched(name) if name in TORCHVISION else _state_of_file(_find(name))
+    size: Size = "large" if any(k.startswith("mask_predictor.") for k in state) else "small"
+    network = FlowNetwork(size)
     try:
         network.raft.load_state_dict(state)
     except RuntimeError as error:
-        raise UserError(f"{name} does not hold weights of raft_small: {error}") from error
+        raise UserError(f"{name} does not hold weights of raft_{size}: {error}") from error
     return network.frozen()
 
 
@@ -119,7 +136,8 @@ def _find(name: str) -> Path:
     raise UserError(
         f"flow weights {name!r}: no such file, and none of that name are shipped. Train some with "
         "python -m flowrect.train_flow --data shards/, or take torchvision's: --flow-weights "
-        "torchvision where there is a network, else a copy of its raft_small_C_T_V2-01064c6d.pth."
+        "torchvision or torchvision-large where there is a network, else a copy of "
+        f"{' or '.join(Path(w.url).name for w in TORCHVISION.values())}."
     )
 
 
@@ -127,6 +145,7 @@ def _state_of_file(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".safetensors":
         read_card(path)
         return load_file(path)
+    _require_hash(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         if isinstance(state, dict):
@@ -139,13 +158,26 @@ def _state_of_file(path: Path) -> dict[str, Tensor]:
         ) from error
 
 
-def _torchvision_state() -> dict[str, Tensor]:
-    try:
-        state = Raft_Small_Weights.C_T_V2.get_state_dict(progress=True, check_hash=True)
-    except (OSError, RuntimeError) as error:
-        url = Raft_Small_Weights.C_T_V2.url
+def _require_hash(path: Path) -> None:
+    """UserError if the name says another hash than the content, as torchvision's names do."""
+    stated = re.search(r"-([0-9a-f]{8})\.pth$", path.name)
+    if stated is None:
+        return
+    with path.open("rb") as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if not found.startswith(stated[1]):
         raise UserError(
-            f"torchvision's weights could not be fetched from {url} ({error}). Take a copy of that "
-            "file, or train some with python -m flowrect.train_flow --data shards/."
+            f"{path}: its name says that its sha256 begins with {stated[1]}, but it is {found}: "
+            "incomplete, or not the file of that name. Take another copy."
+        )
+
+
+def _fetched(name: str) -> dict[str, Tensor]:
+    weights = TORCHVISION[name]
+    try:
+        return dict(weights.get_state_dict(progress=True, check_hash=True))
+    except (OSError, RuntimeError) as error:
+        raise UserError(
+            f"torchvision's weights could not be fetched from {weights.url} ({error}). Take a copy "
+            "of that file, or train some with python -m flowrect.train_flow --data shards/."
         ) from error
-    return dict(state)

@@ -21,8 +21,9 @@ from flowrect.correspondences import Correspondences
 from simgen.errors import UserError
 from simgen.geometry import Array
 
-MAX_OFF_CENTRE = 0.25
-"""of the principal point from the image's centre, over the side: beyond it, K is not the image's"""
+MAX_OFF_CENTRE = 0.2
+"""of the principal point from the image's centre, over the side: beyond it, K is not the image's.
+K of the image at half size is off by 0.25 along both sides"""
 
 Image = NDArray[np.uint8]
 
@@ -53,7 +54,7 @@ class Pair:
     def __post_init__(self) -> None:
         _require_same_size(self.name, self.left, self.right)
         for side, K in (("left", self.K_left), ("right", self.K_right)):
-            _require_fit(f"{self.name}: K_{side}", K, self.wh)
+            require_fit(f"{self.name}: K_{side}", K, self.wh)
 
     @property
     def wh(self) -> tuple[int, int]:
@@ -77,7 +78,8 @@ def _require_same_size(name: str, left: Image, right: Image) -> None:
         )
 
 
-def _require_fit(what: str, K: Array, wh: tuple[int, int]) -> None:
+def require_fit(what: str, K: Array, wh: tuple[int, int]) -> None:
+    """UserError unless K can be that of an image of size ``wh``; ``what`` names it."""
     K = np.asarray(K)
     if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0 and tuple(K[2]) == (0, 0, 1)):
         raise UserError(f"{what} is\n{K}\nexpected (3, 3): fx 0 cx / 0 fy cy / 0 0 1, in pixels.")

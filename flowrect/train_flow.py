@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 import tyro
@@ -24,6 +25,7 @@ from flowrect.drectify import rectify, warp
 from flowrect.flow_network import MIN_SIDE, FlowCard, FlowNetwork, load_flow, save_flow
 from flowrect.geometry import inside, project, rotation_from_vector
 from flowrect.loading import PairLoader
+from flowrect.losses import across_epipolar_lines
 from flowrect.metrics import METRIC_WH
 from flowrect.sample import Batch
 from simgen.errors import UserError
@@ -32,7 +34,26 @@ DECAY = 0.8
 """weight of each refinement over the next one's. Source: RAFT (Teed and Deng, 2020), Eq. 7"""
 
 
-def rectified_wrongly(batch: Batch, error_deg: float, *, rng: torch.Generator) -> Batch:
+class Views(NamedTuple):
+    """Pairs as a flow network meets them, at ``METRIC_WH``."""
+
+    batch: Batch
+    """its metric images, with their K and truth"""
+    valid: Tensor
+    """(B, 1, H, W) bool: both images have content here"""
+    vertical: Tensor
+    """(B,) bool: the baseline is vertical"""
+
+
+def as_they_stand(batch: Batch) -> Views:
+    """The pairs unrectified, which fill their images."""
+    assert batch.R is not None, "checked by FlowTask.require"
+    assert batch.t is not None, "checked by FlowTask.require"
+    rect = rectify(batch.R, batch.t, batch.K_left_metric, batch.K_right_metric, METRIC_WH)
+    return Views(batch, torch.ones_like(batch.left_metric[:, :1], dtype=torch.bool), rect.vertical)
+
+
+def rectified_wrongly(batch: Batch, error_deg: float, *, rng: torch.Generator) -> Views:
     """The pairs rectified by a pose whose rotation is wrong; images at ``METRIC_WH``.
 
     Each component of the error's rotation vector is uniform within ± ``error_deg``.
@@ -44,15 +65,15 @@ def rectified_wrongly(batch: Batch, error_deg: float, *, rng: torch.Generator) -
     error = rotation_from_vector(torch.deg2rad(error_deg * unit).to(batch.R.device))
     K_left, K_right = batch.K_left_metric, batch.K_right_metric
     rect = rectify(error @ batch.R, batch.t, K_left, K_right, METRIC_WH)
-    left, _ = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
-    right, _ = warp(batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH)
+    left, valid_left = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
+    right, valid_right = warp(batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH)
     shown = inside(project(K_left, batch.truth.rays_left), METRIC_WH)
     shown &= inside(project(K_right, batch.truth.rays_right), METRIC_WH)
     turned = batch.truth.rotated(left=rect.R_left, right=rect.R_right)
     turned = replace(turned, visible=turned.visible & shown)  # elsewhere there is only black
     values = {**vars(batch), "left_metric": left, "right_metric": right, "truth": turned,
               "K_left_metric": rect.K_new, "K_right_metric": rect.K_new}  # fmt: skip
-    return Batch(**values)
+    return Views(Batch(**values), valid_left & valid_right, rect.vertical)
 
 
 def cropped(batch: Batch, wh: tuple[int, int], *, rng: torch.Generator) -> Batch:
@@ -100,6 +121,16 @@ def flow_errors(predicted: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     return torch.where(counted[..., None], error, 0.0), counted
 
 
+def error_sizes(predicted: Tensor, seen: Views) -> Tensor:
+    """End-point and |vertical| error (N, 2) [px] of a predicted flow, wherever they count.
+
+    Vertical is across the epipolar lines: the error of du if the baseline is vertical.
+    """
+    error, counted = flow_errors(predicted, seen.batch)
+    across = across_epipolar_lines(error, seen.vertical).abs()
+    return torch.stack([error.norm(dim=-1), across], dim=-1)[counted]
+
+
 class FlowTask:
     """RAFT and its loss, as ``flowrect.loop`` trains them."""
 
@@ -130,7 +161,7 @@ class FlowTask:
         """Mean error of each refinement [px], the later the heavier."""
         rng = torch.default_generator
         if torch.rand(()) < self.options.rectified:
-            batch = rectified_wrongly(batch, self.options.error_deg, rng=rng)
+            batch = rectified_wrongly(batch, self.options.error_deg, rng=rng).batch
         batch = cropped(batch, self.options.crop_wh, rng=rng)
         updates = self.options.updates
         flows = network(batch.left_metric, batch.right_metric, updates)
@@ -151,16 +182,15 @@ class FlowTask:
         for batch in loader:
             batch = batch.to(device)
             wrong = rectified_wrongly(batch, self.options.error_deg, rng=rng)
-            for kind, pairs in (("", batch), ("rectified_", wrong)):
-                flow = self.model.flow(pairs.left_metric, pairs.right_metric)
-                error, counted = flow_errors(flow, pairs)
-                errors[kind].append(error[counted])
+            for kind, seen in (("", as_they_stand(batch)), ("rectified_", wrong)):
+                flow = self.model.flow(seen.batch.left_metric, seen.batch.right_metric)
+                errors[kind].append(error_sizes(flow, seen))
         self.model.train()
         scores = {}
         for kind, parts in errors.items():
-            error = torch.cat(parts)
-            scores[f"{kind}end_point_px"] = error.norm(dim=-1).mean().item()
-            scores[f"{kind}vertical_median_px"] = error[:, 1].abs().median().item()
+            end_point, vertical = torch.cat(parts).unbind(-1)
+            scores[f"{kind}end_point_px"] = end_point.mean().item()
+            scores[f"{kind}vertical_median_px"] = vertical.median().item()
         return scores
 
     def save(self, path: Path, seen: loop.Seen) -> None:

@@ -17,6 +17,7 @@ from small_set import make_frame, write_set
 
 from flowrect.calibration import Calibration, projections
 from flowrect.formats import kalibr, opencv, read_calibration, ros
+from flowrect.resize import resized_intrinsics
 from simgen.errors import UserError
 from simgen.export import write_nominal_rig
 from simgen.geometry import Array, project, transform
@@ -294,6 +295,14 @@ def test_a_binary_file_is_no_calibration(tmp_path):
 def test_a_rig_without_baseline_is_refused(t):
     with pytest.raises(UserError, match=r"baseline T is \[.*\]; expected the vector"):
         RIG.with_pose(np.eye(3), np.full(3, t))
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_intrinsics_of_another_resolution_are_refused(side, scale):
+    K = resized_intrinsics(getattr(RIG, f"K_{side}"), scale, scale)
+    with pytest.raises(UserError, match=rf"the calibration's K_{side} .*another image size\?"):
+        replace(RIG, **{f"K_{side}": K})
 
 
 @pytest.mark.parametrize("write", [write_opencv, write_kalibr])

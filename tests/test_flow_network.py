@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,9 @@ import torch
 from safetensors.torch import load_file, save_file
 from test_train import interrupt_after
 from tiny_network import network, road_set, training
+from torchvision.models.optical_flow import Raft_Large_Weights, Raft_Small_Weights
 
-from flowrect import train, train_flow
+from flowrect import flow_network, train, train_flow
 from flowrect.augment import Augmentation
 from flowrect.config import FlowOptions, LossWeights
 from flowrect.drectify import rectify
@@ -83,7 +85,7 @@ def test_a_right_pose_leaves_no_vertical_flow_and_a_wrong_one_does(data):
     batch = batch_of(data, Augmentation())
     rng = torch.Generator().manual_seed(0)
     for error_deg, low, high in ((0.0, 0.0, 1e-6), (1.0, 0.5, 12.0)):
-        wrong = train_flow.rectified_wrongly(batch, error_deg, rng=rng)
+        wrong = train_flow.rectified_wrongly(batch, error_deg, rng=rng).batch
         _, flow, counted = train_flow.exact_flow(
             wrong.truth, wrong.K_left_metric, wrong.K_right_metric, METRIC_WH
         )
@@ -95,7 +97,7 @@ def test_wrongly_rectified_truth_agrees_with_the_metric(data):
     """The mean |dv| of its correspondences is what metrics.exact_vertical_flow says of the pose."""
     batch = batch_of(data, None, num=1)
     rng = torch.Generator().manual_seed(5)
-    wrong = train_flow.rectified_wrongly(batch, 1.0, rng=rng)
+    wrong = train_flow.rectified_wrongly(batch, 1.0, rng=rng).batch
     unit = 2 * torch.rand(1, 3, generator=rng.manual_seed(5), dtype=torch.float64) - 1
     R = train_flow.rotation_from_vector(torch.deg2rad(unit)) @ batch.R
     rect = rectify(R, batch.t, batch.K_left_metric, batch.K_right_metric, METRIC_WH)
@@ -105,6 +107,45 @@ def test_wrongly_rectified_truth_agrees_with_the_metric(data):
     )
     mine = flow[..., 1].abs()[counted].mean()
     torch.testing.assert_close(mine, exact_vertical_flow(rect, batch.truth)[0], rtol=0, atol=1e-9)
+
+
+def test_pixels_are_valid_where_both_images_are_white(data):
+    """White images stay white where no black is mixed in, of either camera."""
+    batch = batch_of(data, Augmentation())
+    white = replace(
+        batch,
+        left_metric=torch.ones_like(batch.left_metric),
+        right_metric=torch.ones_like(batch.right_metric),
+    )
+    wrong = train_flow.rectified_wrongly(white, 1.0, rng=torch.Generator().manual_seed(0))
+    left, right = (
+        (x[:, :1] > 1 - 1e-3) for x in (wrong.batch.left_metric, wrong.batch.right_metric)
+    )
+    assert (left & ~right).any()
+    assert (right & ~left).any()
+    differ = wrong.valid != (left & right)
+    assert differ.float().mean() < 1e-3  # the fade begins at the last centre, within a thousandth
+    assert train_flow.as_they_stand(white).valid.all()
+
+
+@pytest.mark.parametrize("vertical", [False, True])
+def test_vertical_errors_lie_across_the_epipolar_lines(vertical, data):
+    batch = batch_of(data, None, num=1)
+    seen = train_flow.as_they_stand(batch)
+    assert not seen.vertical.any()
+    turned = seen._replace(vertical=torch.tensor([vertical]))
+    error, counted = train_flow.flow_errors(affine_field(METRIC_WH), batch)
+    end_point, across = train_flow.error_sizes(affine_field(METRIC_WH), turned).unbind(-1)
+    torch.testing.assert_close(end_point, error[counted].norm(dim=-1))
+    torch.testing.assert_close(across, error[counted][:, 0 if vertical else 1].abs())
+
+
+def test_a_rig_of_cameras_above_each_other_is_vertical(data):
+    batch = batch_of(data, None, num=1)
+    below = replace(batch, t=batch.t.new_tensor([[0.0, -0.8, 0.0]]))
+    assert train_flow.as_they_stand(below).vertical.all()
+    rng = torch.Generator().manual_seed(0)
+    assert train_flow.rectified_wrongly(below, 1.0, rng=rng).vertical.all()
 
 
 def test_a_crop_keeps_the_flow(data):
@@ -186,6 +227,60 @@ def test_weights_come_back(weights):
     assert not any(p.requires_grad for p in raft.parameters())
     saved = load_file(weights)
     assert all(torch.equal(x, saved[k]) for k, x in raft.raft.state_dict().items())
+
+
+def random_state(size: str) -> dict[str, torch.Tensor]:
+    torch.manual_seed(1)
+    return FlowNetwork(size).raft.state_dict()
+
+
+@pytest.mark.parametrize("size", ["small", "large"])
+def test_weights_say_which_network_they_are_of(size, tmp_path):
+    state, path = random_state(size), tmp_path / f"raft_{size}.pth"
+    torch.save(state, path)
+    loaded = load_flow(str(path)).raft.state_dict()
+    assert state.keys() == loaded.keys()
+    assert all(torch.equal(x, loaded[k]) for k, x in state.items())
+
+
+@pytest.mark.parametrize(
+    "name, enum, size",
+    [
+        ("torchvision", Raft_Small_Weights, "small"),
+        ("torchvision-large", Raft_Large_Weights, "large"),
+    ],
+)
+def test_torchvisions_own_are_fetched_with_their_hash_checked(name, enum, size, monkeypatch):
+    state, asked = random_state(size), []
+
+    def get_state_dict(weights, **options):
+        asked.append((weights, options["check_hash"]))
+        return state
+
+    monkeypatch.setattr(enum, "get_state_dict", get_state_dict)
+    loaded = load_flow(name).raft.state_dict()
+    assert all(torch.equal(x, loaded[k]) for k, x in state.items())
+    assert asked == [(flow_network.TORCHVISION[name], True)]
+
+
+def test_weights_that_cannot_be_fetched_say_where_they_are(monkeypatch):
+    def get_state_dict(weights, **options):
+        raise OSError("no route")
+
+    monkeypatch.setattr(Raft_Large_Weights, "get_state_dict", get_state_dict)
+    with pytest.raises(UserError, match=r"raft_large_C_T_SKHT_K_V1-4a6a5039\.pth \(no route\)"):
+        load_flow("torchvision-large")
+
+
+def test_the_hash_in_a_name_is_that_of_the_content(tmp_path):
+    torch.save(random_state("small"), tmp_path / "raft.pth")
+    content = (tmp_path / "raft.pth").read_bytes()
+    whole = tmp_path / f"raft_small-{hashlib.sha256(content).hexdigest()[:8]}.pth"
+    whole.write_bytes(content)
+    load_flow(str(whole))
+    whole.write_bytes(content[:-1])
+    with pytest.raises(UserError, match="its name says that its sha256 begins with"):
+        load_flow(str(whole))
 
 
 def test_the_network_learns_from_the_teacher_alone(data, tmp_path, weights):

@@ -368,11 +368,15 @@ def _shrink(folder: Path) -> None:
 
 
 def _other_size(folder: Path) -> None:
-    opencv.write(folder / "rig.yaml", replace(RIG, wh=(800, 480)))
+    twice = np.diag([2, 2, 1.0]) @ K
+    opencv.write(folder / "rig.yaml", Calibration(twice, twice, NOMINAL, (800, 480)))
 
 
 def _k_of_other_size(folder: Path) -> None:
-    opencv.write(folder / "rig.yaml", replace(RIG, K_left=np.diag([2, 2, 1.0]) @ K))
+    """What is left of a calibration at 800x480 if only its size is changed."""
+    _other_size(folder)
+    text = (folder / "rig.yaml").read_text()
+    (folder / "rig.yaml").write_text(text.replace(": 800", ": 400").replace(": 480", ": 240"))
 
 
 def _no_calibration(folder: Path) -> None:
@@ -395,9 +399,6 @@ def _garbage(folder: Path) -> None:
     "spoil, message",
     [
         (_remove_left, r"a.png: no such image or folder"),
-        (_shrink, r"a.png: an image of 400x239, but the calibration is for 400x240"),
-        (_other_size, r"a.png: an image of 400x240, but the calibration is for 800x480"),
-        (_k_of_other_size, r"principal point at (406.0, 234.0), far from the centre"),
         (_no_calibration, r"rig.yaml: no such calibration"),
         (_pickle, r"Pickles (.pt, .pth, .ckpt) are refused"),
         (_no_weights, r"expected a file or one of the shipped"),
@@ -407,6 +408,29 @@ def _garbage(folder: Path) -> None:
 def test_what_cannot_be_used_is_said(spoil, message, folders, weights, capsys):
     spoil(folders)
     assert main(command(folders, left="left/a.png", right="right/a.png")) == 2
+    captured = capsys.readouterr()
+    assert message in (captured.out + captured.err).replace("\n", " ")
+    assert not list((folders / "out").glob("a*"))
+
+
+@pytest.mark.parametrize("method", ["network", "sift+5dof"])
+@pytest.mark.parametrize(
+    "spoil, message",
+    [
+        (_shrink, r"a.png: an image of 400x239, but the calibration is for 400x240"),
+        (_other_size, r"a.png: an image of 400x240, but the calibration is for 800x480"),
+        (_k_of_other_size, r"principal point at (406.0, 234.0), far from the centre"),
+    ],
+)
+def test_no_method_takes_a_calibration_of_other_images(
+    spoil, message, method, folders, weights, capsys
+):
+    spoil(folders)
+    arguments = command(folders, left="left/a.png", right="right/a.png")
+    if method != "network":
+        where = arguments.index("--method")
+        arguments[where : where + 4] = ["--method", method]
+    assert main(arguments) == 2
     captured = capsys.readouterr()
     assert message in (captured.out + captured.err).replace("\n", " ")
     assert not list((folders / "out").glob("a*"))

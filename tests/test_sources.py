@@ -124,7 +124,8 @@ def test_folder_with_a_single_image_is_refused(tmp_path: Path) -> None:
 
 def test_images_of_another_size_than_the_calibration_are_refused(tmp_path: Path) -> None:
     _folder(tmp_path)
-    opencv.write(tmp_path / "calib.yaml", Calibration(K_A, K_B, T_RIGHT_LEFT, (640, 360)))
+    twice = [np.diag([2, 2, 1.0]) @ K for K in (K_A, K_B)]
+    opencv.write(tmp_path / "calib.yaml", Calibration(*twice, T_RIGHT_LEFT, (640, 360)))
     with pytest.raises(UserError, match=r"a.png: an image of 320x180, .* is for 640x360"):
         open_source(tmp_path)[0]
 
