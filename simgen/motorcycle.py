@@ -140,7 +140,7 @@ def _grip(front: float, half: float, height: float) -> Array:
 def _fork(front: float, radius: float, half: float, height: float) -> list[Piece]:
     """Fork, handlebar with grips, mirrors."""
     head, bar_z = _steering_head(front, height), height - 0.1
-    x, end = float(head[0]), _grip(front, half, height)
+    x, end = float(head[0]), tuple(_grip(front, half, height))
     return both_sides(
         [
             rod([(front, 0.1, radius), (x, 0.1, head[2])], 0.026, ALLOY),
