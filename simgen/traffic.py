@@ -115,8 +115,8 @@ def _vehicle(
     if not layout.in_view(xy):
         return
     vehicle = fleet.draw()
-    reach = vehicle.length / 2
-    discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, 6)]
+    reach, num = vehicle.length / 2, int(np.ceil(vehicle.length)) + 1
+    discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, num)]
     if layout.site.claim(discs):
         normal = road_normal(lane.centre, s, along)
         speed_m_s = min(speed_m_s, HEAVY_M_S) if vehicle.family in _HEAVY else speed_m_s
