@@ -14,7 +14,7 @@ from simgen import roads
 from simgen.geometry import Array
 from simgen.layout import Layout
 from simgen.roads import Network
-from simgen.signs import Rect, sign_atlas
+from simgen.signs import sign_atlas
 from simgen.site import Site
 
 RECTS = sign_atlas(rng=np.random.default_rng(0)).rects
@@ -33,19 +33,7 @@ class FlatSite(Site):
         return np.ones(np.asarray(xy).reshape(-1, 2).shape[0], dtype=bool)
 
 
-class Used(dict[str, Rect]):
-    """The cells of a sign atlas; ``names`` are those that were looked up."""
-
-    def __init__(self) -> None:
-        super().__init__(RECTS)
-        self.names: set[str] = set()
-
-    def __getitem__(self, name: str) -> Rect:
-        self.names.add(name)
-        return super().__getitem__(name)
-
-
-def flat_layout(recipe: str, index: int, rects: dict[str, Rect] = RECTS, **changes: Any) -> Layout:
+def flat_layout(recipe: str, index: int, **changes: Any) -> Layout:
     """The roads of a drawn spec, some of whose fields are changed, in the rig's frame."""
     spec = replace(make_spec(recipe, index), **changes)
     plan = roads._Plan(spec)
@@ -53,4 +41,4 @@ def flat_layout(recipe: str, index: int, rects: dict[str, Rect] = RECTS, **chang
     network = Network(lanes, {}, [], plan.junctions, lanes[0], 0.0)
     lane, station = roads._choose_rig_lane(network, spec, rng=spec.stream("rig lane"))
     moved = roads._moved(replace(network, rig_lane=lane, rig_station=station))
-    return Layout(FlatSite(moved), spec, np.zeros((1, 2)), rects, 1.0)
+    return Layout(FlatSite(moved), spec, np.zeros((1, 2)), RECTS, 1.0)

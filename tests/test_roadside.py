@@ -12,7 +12,7 @@ import shapely
 from flat_sites import RECTS, flat_layout
 from test_ground import make_spec
 
-from simgen import furniture, roads, roadside, works
+from simgen import barriers, furniture, pavement, roads, roadside, terraces, works
 from simgen.layout import Layout, edges
 from simgen.mesh import Model, part
 from simgen.recipe import recipe_names
@@ -264,3 +264,48 @@ def test_works_come_with_cones_boards_and_a_digger():
     num = [len([m for m in works.road_works(flat_layout("highway", index, road_works=True)) if m])
            for index in range(4)]  # fmt: skip
     assert min(num) > 8
+
+
+# --- all that is built ---------------------------------------------------------------------------
+
+SPOT_BUILDERS = {
+    furniture: ("street_lamp", "traffic_signal", "traffic_sign", "street_name_post", "gantry",
+                "billboard", "delineator", "kilometre_post", "utility_line"),
+    works: ("barrier_board", "excavator", "soil_heap", "tower_crane"),
+}  # fmt: skip
+LINE_BUILDERS = ("guard_rail", "concrete_barrier", "noise_wall", "fence", "hoarding")
+STEPS = (roadside.signals, works.road_works, roadside.lamps, roadside.signs,
+         roadside.utility_poles, roadside.gantry, roadside.rails, roadside.noise_walls,
+         works.building_site, roadside.small_things, roadside.frontage)  # fmt: skip
+
+
+def test_every_kind_of_furniture_stands_somewhere(monkeypatch):
+    built: set[str] = set()
+
+    def recorder(name: str, result: object):
+        def record(*args: object, **_: object) -> object:
+            built.add(f"fence {args[0]}" if name == "fence" else name)
+            return result
+
+        return record
+
+    def small(_layout: Layout, kind: str, _rng: np.random.Generator) -> Model:
+        built.add(kind)
+        return POINTER
+
+    monkeypatch.setattr(roadside, "_small", small)
+    for module, names in SPOT_BUILDERS.items():
+        for name in names:
+            monkeypatch.setattr(module, name, recorder(name, POINTER))
+    for name in LINE_BUILDERS:
+        monkeypatch.setattr(barriers, name, recorder(name, POINTER[0]))
+    optional = dict.fromkeys(("guard_rail", "utility_poles", "gantry", "noise_wall", "road_works",
+                              "building_site", "lamps"), True)  # fmt: skip
+    for recipe, index in LAYOUTS[::3]:
+        layout = flat_layout(recipe, index, small_per_100m=20.0, hedges=0.0, fences=1.0, **optional)
+        for step in STEPS:
+            list(step(layout))
+    spots = {name for names in SPOT_BUILDERS.values() for name in names}
+    lines = {*LINE_BUILDERS, *(f"fence {kind}" for kind in barriers.FENCES)} - {"fence"}
+    small_kinds = {*pavement.CLUTTER, *terraces.TERRACE, *roadside._PRINTED}
+    assert built == spots | lines | small_kinds
