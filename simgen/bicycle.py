@@ -8,7 +8,7 @@ import numpy as np
 
 from simgen import figure as fig
 from simgen import people
-from simgen.figure import DETAILS, SIDES, Build, Detail, Pose, Skeleton
+from simgen.figure import DETAILS, SIDES, Build, Detail, Skeleton
 from simgen.geometry import Array, rotation_from_vector
 from simgen.mesh import Model, Part, box, part, tube
 from simgen.people import Rgb, Rng
@@ -90,17 +90,9 @@ def _pedals(fit: _Fit) -> Array:
 
 def _seated(build: Build, fit: _Fit, lean: float) -> tuple[Skeleton, Array]:
     """A body on the saddle; returns it with the middle of its hips (3,)."""
-    k = build.scale
-    hips = np.add(fit.saddle, [0.04, 0.0, 0.1 * k])
+    hips = np.add(fit.saddle, [0.04, 0.0, 0.1 * build.scale])
     soles = np.add(_pedals(fit), [0.0, 0.0, 0.012])
-    ankles = np.add(soles, [-0.11 * k, 0.0, build.ankle])
-    joints = hips + np.array([build.hip_joint(side) for side in SIDES])
-    R = rotation_from_vector(np.array([0.0, lean, 0.0]))
-    wrists = fit.grips + np.array([-0.06, 0.0, 0.035]) - hips
-    shoulders = np.array([build.shoulder(side) for side in SIDES])
-    pose = Pose((ankles - joints) / build.leg, (wrists @ R - shoulders) / build.arm,
-                lean=lean, nod=0.1)  # fmt: skip
-    return Skeleton(build, pose), hips
+    return fig.seated(build, hips, soles, fit.grips, lean), hips
 
 
 # --- parts ---------------------------------------------------------------------------------------

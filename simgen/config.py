@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from simgen.errors import UserError
 from simgen.given_map import load as load_map
+from simgen.given_map import road_kind
 from simgen.metering import SENSORS
 from simgen.recipe import (
     DaylightTable,
@@ -56,7 +57,8 @@ class RenderOptions:
     sensor: Literal["camera", "ideal"] = "camera"
     """camera: lens, noise, white balance, sharpening; ideal: exposure and tone curve only"""
     recipes: str = ""
-    """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given"""
+    """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given, or
+    those for the kind of road that an OpenDRIVE map states"""
     weather: str = ""
     """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by shares"""
     daylight: str = ""
@@ -169,6 +171,7 @@ def resolve(options: RenderOptions, variant: str) -> Job:
 
         load_zstd("--compression zstd")
     w, h = rig.size
+    opendrive = load_map(options.opendrive) if options.opendrive else b""
     return Job(
         seed=options.seed,
         rig_name=rig_name,
@@ -177,7 +180,9 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         spp=options.spp,
         denoise=options.denoise,
         sensor=options.sensor,
-        recipes=_taking_part(_load_recipes(recipes or recipe_names()), named=bool(recipes)),
+        recipes=_taking_part(
+            _load_recipes(recipes) if recipes else _fitting(opendrive), named=bool(recipes)
+        ),
         daylight=_taking_part(
             load_presets("daylight", DaylightTable, daylight), named=bool(daylight)
         ),
@@ -186,7 +191,7 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         flow=options.flow,
         compression=options.compression,
         variant=variant,
-        opendrive=load_map(options.opendrive) if options.opendrive else b"",
+        opendrive=opendrive,
     )
 
 
@@ -228,6 +233,13 @@ def _load_recipes(names: Sequence[str]) -> dict[str, Recipe]:
                 f"--recipes: two different files are called {stem}. Rename one of them."
             )
     return recipes
+
+
+def _fitting(opendrive: bytes) -> dict[str, Recipe]:
+    """All recipes, or those for the kind of road that a map states."""
+    recipes = _load_recipes(recipe_names())
+    kind = road_kind(opendrive) if opendrive else ""
+    return {k: r for k, r in recipes.items() if not kind or r.road.kind == kind}
 
 
 def _taking_part(tables: dict[str, Any], *, named: bool) -> dict[str, Any]:

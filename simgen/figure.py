@@ -200,6 +200,26 @@ class Skeleton:
         return self.pose.R_trunk @ top + [0.01, 0.0, 0.045 * self.build.head]
 
 
+def seated(build: Build, hips: Array, soles: Array, grips: Array, lean: float) -> Skeleton:
+    """A body astride, in a frame of its own about ``hips``.
+
+    Args:
+        hips: (3,) their middle.
+        soles: (2, 3) under the balls of the feet.
+        grips: (2, 3) what the hands hold.
+        lean: of the trunk, forward [rad].
+    """
+    k = build.scale
+    ankles = soles + np.array([-0.11 * k, 0.0, build.ankle])
+    joints = hips + np.array([build.hip_joint(side) for side in SIDES])
+    wrists = grips + np.array([-0.06, 0.0, 0.035]) - hips
+    shoulders = np.array([build.shoulder(side) for side in SIDES])
+    R = rotation_from_vector(lean * Y)
+    pose = Pose((ankles - joints) / build.leg, (wrists @ R - shoulders) / build.arm,
+                lean=lean, nod=0.1)  # fmt: skip
+    return Skeleton(build, pose)
+
+
 Mesh = tuple[Vertices, Faces]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -115,6 +116,22 @@ def starts(data: bytes) -> tuple[Start, ...]:
 
 def _length(line: Array) -> float:
     return float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum())
+
+
+_KIND_OF_TYPE = {"motorway": "motorway", "rural": "rural", "lowSpeed": "town"}
+
+
+@lru_cache(maxsize=2)
+def road_kind(data: bytes) -> str:
+    """Of most of a map's metres (town, rural, motorway); empty where no road states its type."""
+    metres: defaultdict[str, float] = defaultdict(float)
+    for road in parsed(data).findall("road"):
+        stated = road.find("type")
+        name = "" if stated is None else stated.get("type", "")
+        kind = "town" if name.startswith("town") else _KIND_OF_TYPE.get(name, "")
+        metres[kind] += float(road.get("length", "0"))
+    metres.pop("", None)
+    return max(metres, key=lambda kind: metres[kind], default="")
 
 
 # --- writing back --------------------------------------------------------------------------------

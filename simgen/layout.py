@@ -88,8 +88,8 @@ class Layout:
         self.zoom = zoom
         self.lights: list[Array] = []
         """(N, 3) world positions of lamps that burn at night"""
-        self.designs: dict[tuple[str, int], Vehicle] = {}
-        """of the scene's vehicles, by family and number: built when first met"""
+        self.designs: dict[tuple[str, int, bool], Vehicle] = {}
+        """of the scene's vehicles, by family, number and whether ridden: built when first met"""
         self.far_trees: dict[tuple[str, int], Model] = {}
         """by species and number, likewise"""
         self.crossing = crossing

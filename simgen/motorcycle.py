@@ -1,12 +1,16 @@
-"""A motorcycle on its side stand: tubes, blocks and hulls. Frame and units: see mesh.py."""
+"""A motorcycle, on its stand or under its rider: tubes, blocks, hulls. Frame, units: mesh.py."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from simgen import figure as fig
+from simgen import people
 from simgen.bodyshell import Array, disc, lathe, sheet
-from simgen.mesh import tube
+from simgen.figure import DETAILS, SIDES
+from simgen.mesh import Part, part, tube
+from simgen.schema import LABELS
 from simgen.vehicle_parts import (
     ALLOY,
     AMBER_LAMP,
@@ -20,6 +24,8 @@ from simgen.vehicle_parts import (
     Finish,
     Piece,
     Range,
+    Rgb,
+    Rng,
     block,
     both_sides,
     rod,
@@ -28,9 +34,9 @@ from simgen.vehicle_parts import (
 
 
 def motorcycle_pieces(
-    axles: Range, radius: float, width: float, height: float, paint: Finish, lean_rad: float
+    axles: Range, radius: float, width: float, height: float, paint: Finish
 ) -> list[Piece]:
-    """A motorcycle that leans to the left, its bounding box centred in y.
+    """A motorcycle, upright.
 
     Args:
         axles: x of the front and of the rear axle [m].
@@ -39,7 +45,7 @@ def motorcycle_pieces(
         height: of the handlebar [m].
     """
     front, rear = axles
-    upright = [
+    return [
         *_wheel(front, radius, 0.12),
         *_wheel(rear, radius, 0.17),
         _mudguard(front, radius, (20, 130), paint),
@@ -49,12 +55,39 @@ def motorcycle_pieces(
         *_head_lamp(np.add(_steering_head(front, height), (0.16, 0.0, -0.06)), paint),
         *_saddle(front, rear, radius, height, paint),
     ]
+
+
+def on_stand(upright: list[Piece], axles: Range, lean_rad: float) -> list[Piece]:
+    """The motorcycle on its side stand, leaning to the left, its bounding box centred in y."""
+    x = sum(axles) / 2
+    stand = rod([(x - 0.05, 0.12, 0.28), (x - 0.12, 0.26, 0.075)], 0.014)
     c, s = np.cos(lean_rad), np.sin(lean_rad)
     R = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
-    leaning = [p._replace(mesh=(p.mesh[0] @ R.T, p.mesh[1])) for p in upright]
+    leaning = [p._replace(mesh=(p.mesh[0] @ R.T, p.mesh[1])) for p in [*upright, stand]]
     vertices = np.concatenate([p.mesh[0] for p in leaning])
     y_middle = (vertices[:, 1].min() + vertices[:, 1].max()) / 2
     return shifted(leaning, (0.0, -y_middle, -vertices[:, 2].min()))
+
+
+def rider(axles: Range, width: float, height: float, helmet: Rgb, *, rng: Rng) -> Part:
+    """Who rides the upright motorcycle of these measures: feet on its pegs, hands on its grips."""
+    build, detail = people.draw_build(rng=rng, adult=True), DETAILS[1]
+    middle, bar = sum(axles) / 2, _grip(axles[0], width / 2, height)
+    hips = np.array([middle - 0.22, 0.0, 0.7 * height + 0.07 + 0.1 * build.scale])
+    soles = np.array([(middle + PEG[0], side * PEG[1], PEG[2] + 0.015) for side in SIDES])
+    grips = np.array([bar * (1.0, 0.86 * side, 1.0) for side in SIDES])
+    s = fig.seated(build, hips, soles, grips, float(rng.uniform(0.15, 0.4)))
+    worn = [k for k in people.clothed(s, detail, rng=rng, riding=True)
+            if k.slot not in ("hair", "headgear")]  # fmt: skip
+    body = fig.figure([*worn, *people.crash_helmet(s, detail)], ground=-float(hips[2]))
+    colors = people.palette(rng=rng)
+    colors[fig.SLOTS.index("headgear")] = helmet
+    seat = np.add(body.vertices, [hips[0], 0.0, 0.0])
+    return part(seat, body.faces, "matte", LABELS["rider"], color=colors[body.slots])
+
+
+PEG = (-0.14, 0.25, 0.33)
+"""where a foot rests (m), from the middle between the axles"""
 
 
 def _steering_head(front: float, height: float) -> Array:
@@ -82,7 +115,7 @@ def _mudguard(x: float, radius: float, sector_deg: Range, finish: Finish) -> Pie
 
 
 def _engine(middle: float, rear: float) -> list[Piece]:
-    """Crankcase, cylinder, radiator, exhaust on the right, stand on the left."""
+    """Crankcase, cylinder, radiator, exhaust on the right, a peg on either side."""
     exhaust = [
         (middle + 0.22, -0.1, 0.5),
         (middle + 0.2, -0.14, 0.26),
@@ -95,15 +128,19 @@ def _engine(middle: float, rear: float) -> list[Piece]:
         block((0.24, 0.24, 0.26), (middle + 0.12, 0, 0.56), PLASTIC),
         block((0.06, 0.32, 0.3), (middle + 0.33, 0, 0.52), SEAM),
         rod(exhaust, [0.025, 0.025, 0.03, 0.055, 0.05], ALLOY, sides=8),
-        rod([(middle - 0.05, 0.12, 0.28), (middle - 0.12, 0.26, 0.075)], 0.014),
+        *both_sides([rod([(middle + PEG[0], y, PEG[2]) for y in (0.12, 0.3)], 0.012)]),
     ]
+
+
+def _grip(front: float, half: float, height: float) -> Array:
+    """The end (3,) of the handlebar on the left."""
+    return np.array([_steering_head(front, height)[0] - 0.2, half, height - 0.13])
 
 
 def _fork(front: float, radius: float, half: float, height: float) -> list[Piece]:
     """Fork, handlebar with grips, mirrors."""
     head, bar_z = _steering_head(front, height), height - 0.1
-    x = float(head[0])
-    end = (x - 0.2, half, bar_z - 0.03)
+    x, end = float(head[0]), tuple(_grip(front, half, height))
     return both_sides(
         [
             rod([(front, 0.1, radius), (x, 0.1, head[2])], 0.026, ALLOY),

@@ -6,12 +6,12 @@ umbrellas.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal, Protocol
 
 import numpy as np
 
-from simgen import bicycle, people
+from simgen import alignment, bicycle, people
 from simgen.geometry import Array
 from simgen.layout import Layout, Mover, Placed, edges
 from simgen.markings import CROSSING_SETBACK_M
@@ -77,7 +77,7 @@ def pedestrians(layout: Layout) -> Placed:
     rng = layout.spec.stream("pedestrians")
     density = layout.spec.pedestrians_per_100m * outdoors(layout.spec.sky.rain_mm_h)
     crowd = _Crowd(layout, rng)
-    if layout.spec.road.kind == "town":
+    if layout.spec.road.kind == "town" or layout.site.network.given is not None:
         for lane in layout.lanes:
             if not lane.in_junction:
                 yield from _at_crossings(crowd, lane, density)
@@ -146,7 +146,10 @@ def _talkers(crowd: _Crowd, place: Array) -> Placed:
 def _at_crossings(crowd: _Crowd, lane: Lane, density: float) -> Placed:
     """People who cross a lane before a junction, or wait at the kerb to do so."""
     rng = crowd.rng
-    for s in _mouths(lane, crowd.layout.site.network.junctions):
+    network = crowd.layout.site.network
+    given = network.given
+    places = _mouths(lane, network.junctions) if given is None else _zebras(lane, given.things)
+    for s in places:
         for _ in range(rng.poisson(0.03 * density)):
             point, tangent = at_station(lane.centre, s + float(rng.normal(0, 0.6)))
             heading = float(tangent) + np.pi / 2
@@ -167,6 +170,17 @@ def _mouths(lane: Lane, junctions: list[Array]) -> Iterator[float]:
         distances = [np.linalg.norm(lane.centre[end, :2] - j[:2]) for j in junctions]
         if min(distances, default=np.inf) < 30.0:
             yield float(s)
+
+
+def _zebras(lane: Lane, things: Sequence[alignment.Placed]) -> Iterator[float]:
+    """Stations of a given map's crosswalks that a lane passes, on them or at their ends."""
+    for thing in things:
+        if thing.type == "crosswalk" and len(thing.outline) > 2:
+            middle = thing.outline.mean(axis=0)
+            reach = np.linalg.norm(thing.outline - middle, axis=1).max() + lane.width / 2
+            away = np.linalg.norm(lane.centre[:, :2] - middle, axis=1)
+            if away.min() < reach:
+                yield float(stations(lane.centre)[away.argmin()])
 
 
 # --- bicycles ------------------------------------------------------------------------------------

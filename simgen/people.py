@@ -255,6 +255,13 @@ def helmet(s: Skeleton, d: Detail) -> list[Skin]:
     return [fig.on_head(s, dome, "headgear")]
 
 
+def crash_helmet(s: Skeleton, d: Detail) -> list[Skin]:
+    """A motorcyclist's helmet with its dark visor."""
+    shell = fig.ball((-0.005, 0, 0.005), (0.135, 0.112, 0.138), d.limb + 4)
+    visor = fig.ball((0.03, 0, 0.015), (0.108, 0.098, 0.055), d.limb + 4)
+    return [fig.on_head(s, shell, "headgear"), fig.on_head(s, visor, "gear")]
+
+
 _HATS = (_cap, _woolly_hat)
 
 # --- what is carried -----------------------------------------------------------------------------

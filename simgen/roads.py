@@ -68,6 +68,11 @@ class Lane:
         return offset_line(self.centre, -0.5 * (self.width + self.widening))
 
 
+def is_main(lane: Lane) -> bool:
+    """Whether a lane outside junctions is one of our own main road, not of a side road."""
+    return lane.road.startswith("road/main")
+
+
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Triangles of one surface class."""

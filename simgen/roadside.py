@@ -14,7 +14,8 @@ from simgen import alignment, barriers, furniture, pavement, terraces, vegetatio
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model
-from simgen.roads import Lane, at_station, offset_line, points_at, resampled, stations
+from simgen.recipe import RoadSpec
+from simgen.roads import Lane, at_station, is_main, offset_line, points_at, resampled, stations
 
 
 def _kerbside(lane: Lane) -> float:
@@ -37,18 +38,50 @@ def lamps(layout: Layout) -> Placed:
     rng = layout.spec.stream("lamps")
     if not layout.spec.lamps:
         return
-    designs = [d for d in furniture.LAMPS if d != "double"]
-    lamp = furniture.street_lamp(designs[rng.integers(len(designs))], rng=rng)
-    for lane, line in edges(layout):
-        if lane.side == "left" and layout.spec.road.lanes == 1:
-            continue
-        for point, heading in along(layout, line, layout.spec.lamp_spacing_m, rng, _kerbside(lane)):
+    median = _median(layout)
+    designs = _lamp_designs(layout.spec.road, median is not None)
+    design = designs[rng.integers(len(designs))]
+    lamp = furniture.street_lamp(design, rng=rng)
+    if design == "double" and median is not None:
+        lines = [(median.offset(median.width / 2), BESIDE_BARRIER_M)]
+    else:
+        lines = [(line, _kerbside(lane)) for lane, line in edges(layout)
+                 if lane.side == "right" or layout.spec.road.lanes > 1]  # fmt: skip
+    for line, offset in lines:
+        for point, heading in along(layout, line, layout.spec.lamp_spacing_m, rng, offset):
             if not layout.open_above(point):
                 continue
             model = _stands(layout, lamp, point, heading + np.pi / 2)
             if model:
                 layout.lights.append(furniture.lamp_heads(model))
             yield model
+
+
+BESIDE_BARRIER_M = 0.7
+"""from the middle of a motorway to the masts between its carriageways"""
+
+
+def _lamp_designs(road: RoadSpec, has_median: bool) -> list[str]:
+    """The LAMPS that light such a road: low globes narrow streets, double arms a median."""
+    low = ["globe"] if road.kind == "town" and road.lanes == 1 else []
+    return ["curved", "straight", *low, *(["double"] if has_median else [])]
+
+
+def _median(layout: Layout) -> Lane | None:
+    """The right half of a motorway's median, its left side in the middle of the road."""
+    return next((x for x in layout.lanes if (x.kind, x.side) == ("median", "right")), None)
+
+
+_Phase = tuple[str, str]
+"""The lit lenses along one street of a junction and across it."""
+_PHASES: tuple[_Phase, ...] = (
+    ("green", "red"), ("red", "green"), ("green", "red"), ("red", "green"),
+    ("amber", "red"), ("red", "amber"), ("red", "red"),
+)  # fmt: skip
+
+
+def _phase(rng: np.random.Generator) -> _Phase:
+    return _PHASES[rng.integers(len(_PHASES))]
 
 
 def signals(layout: Layout) -> Placed:
@@ -60,28 +93,42 @@ def signals(layout: Layout) -> Placed:
         return
     if layout.spec.road.kind != "town" or layout.spec.road.junction != "cross":
         return
-    for lane, line in edges(layout):
-        for junction in layout.site.network.junctions:
-            if np.linalg.norm(line[-1, :2] - junction[:2]) < 30.0 and rng.random() < 0.85:
-                kerb = offset_line(line, _kerbside(lane))
-                point, heading = at_station(kerb, stations(line)[-1] - 4.0)
-                state = list(furniture.LENSES)[rng.integers(len(furniture.LENSES))]
-                reach = float(rng.choice([0.0, 4.5]))
+    for junction in layout.site.network.junctions:
+        phase = _phase(rng)
+        for lane, line in edges(layout):
+            if _leads_to(line, junction) and rng.random() < 0.85:
+                point, heading = _before_end(line, _kerbside(lane), 4.0)
+                reach = 0.0 if layout.spec.trolley_wires else float(rng.choice([0.0, 4.5]))
+                state = phase[not is_main(lane)]
                 model = furniture.traffic_signal(state, rng=rng, reach_m=reach)
-                yield _stands(layout, model, point, float(heading) + np.pi)
+                yield _stands(layout, model, point, heading + np.pi)
+
+
+def _leads_to(line: Array, junction: Array) -> bool:
+    return bool(np.linalg.norm(line[-1, :2] - junction[:2]) < 30.0)
+
+
+def _before_end(line: Array, offset: float, metres: float) -> tuple[Array, float]:
+    """A point beside a line, ``metres`` before its end, and the heading there."""
+    beside = offset_line(line, offset)
+    point, heading = at_station(beside, stations(line)[-1] - metres)
+    return point, float(heading)
 
 
 _LIGHTS = ("1000001", "1000009", "1000010", "1000011", "1000012")
 """signal types of lights for vehicles"""
-_PLATES = {"205": "yield", "206": "stop", "267": "no_entry", "283": "no_parking",
-           "301": "priority", "306": "priority", "350": "crossing"}  # fmt: skip
+_PLATES = {"101": "warning", "205": "yield", "206": "stop", "209": "ahead_only",
+           "215": "roundabout", "222": "keep_right", "267": "no_entry", "283": "no_parking",
+           "301": "priority", "306": "priority", "350": "crossing", "625": "chevron"}  # fmt: skip
 """signs by their German numbers, which maps use for all countries"""
+SAME_JUNCTION_M = 60.0
 
 
 def _given_signals(
     layout: Layout, things: Sequence[alignment.Placed], rng: np.random.Generator
 ) -> Placed:
     """Lights and signs beside the road; those over it hang from what the map does not tell."""
+    phases: list[tuple[alignment.Placed, _Phase]] = []
     for thing in things:
         usable = thing.tag == "signal" and layout.in_view(thing.xyz)
         if not usable or not layout.site.clear_of(thing.xyz[:2], road=0.0, pavement=-1,
@@ -90,41 +137,116 @@ def _given_signals(
         facing = thing.heading + np.pi
         plate = f"limit_{thing.value}" if thing.type == "274" else _PLATES.get(thing.type, "")
         if thing.type in _LIGHTS:
-            state = list(furniture.LENSES)[rng.integers(len(furniture.LENSES))]
-            signal = furniture.traffic_signal(state, rng=rng, reach_m=0.0)
+            signal = furniture.traffic_signal(_state(thing, phases, rng), rng=rng, reach_m=0.0)
             yield _stands(layout, signal, thing.xyz, facing)
         elif plate in layout.sign_rects:
             sign = furniture.traffic_sign(layout.sign_rects, plate, rng=rng)
             yield _stands(layout, sign, thing.xyz, facing)
 
 
-_SIGNS = {
-    "town": ("limit_30", "limit_50", "no_parking", "priority", "crossing", "no_entry", "yield"),
-    "rural": ("limit_70", "limit_80", "limit_100", "curve_left", "warning", "priority"),
-    "motorway": ("limit_100", "limit_120", "limit_80", "warning"),
+def _state(
+    light: alignment.Placed,
+    phases: list[tuple[alignment.Placed, _Phase]],
+    rng: np.random.Generator,
+) -> str:
+    """What a light shows: that of its junction's first light, or the other street's."""
+    for first, phase in phases:
+        if np.linalg.norm(light.xyz - first.xyz) < SAME_JUNCTION_M:
+            across = abs(np.cos(light.heading - first.heading)) < np.sqrt(0.5)
+            return phase[int(across)]
+    phases.append((light, _phase(rng)))
+    return phases[-1][1][0]
+
+
+_ANYWHERE = {
+    "town": ("limit_30", "limit_40", "limit_50", "no_parking", "crossing", "warning"),
+    "rural": ("limit_60", "limit_70", "limit_80", "limit_90", "limit_100", "warning"),
+    "motorway": ("limit_80", "limit_100", "limit_110", "limit_120", "warning"),
 }
+"""Signs by kind of road; junctions and curves have their own."""
 
 
 def signs(layout: Layout) -> Placed:
-    """Traffic signs on the right; street names in town, and now and then a billboard."""
+    """Traffic signs on the right; street names in town, and now and then a billboard.
+
+    On a map that somebody else drew, traffic signs are the map's.
+    """
     rng = layout.spec.stream("traffic signs")
     if layout.spec.signs_per_100m <= 0:
         return
+    given = layout.site.network.given is not None
+    if not given:
+        yield from _signs_at_junctions(layout, rng)
+        yield from _signs_in_curves(layout, rng)
     kind = layout.spec.road.kind
     spacing = 100.0 / layout.spec.signs_per_100m
     for lane, line in edges(layout):
         for point, heading in along(layout, line, spacing, rng, _kerbside(lane)):
-            facing = heading + np.pi + float(rng.normal(0, 0.06))
             choice = rng.random()
             if choice < 0.07:
                 yield _billboard(layout, point, heading, rng)
             elif choice < 0.17 and kind == "town":
                 post = furniture.street_name_post(layout.sign_rects, rng=rng)
-                yield _stands(layout, post, point, facing)
-            else:
-                name = _SIGNS[kind][rng.integers(len(_SIGNS[kind]))]
-                sign = furniture.traffic_sign(layout.sign_rects, name, rng=rng)
-                yield _stands(layout, sign, point, facing)
+                yield _stands(layout, post, point, heading + np.pi + float(rng.normal(0, 0.06)))
+            elif not given:
+                name = _ANYWHERE[kind][rng.integers(len(_ANYWHERE[kind]))]
+                yield _sign(layout, [name], point, heading, rng)
+
+
+def _sign(
+    layout: Layout, names: Sequence[str], point: Array, heading: float, rng: np.random.Generator
+) -> Model:
+    """Signs on one pole, for those who head there."""
+    sign = furniture.traffic_sign(layout.sign_rects, *names, rng=rng)
+    return _stands(layout, sign, point, heading + np.pi + float(rng.normal(0, 0.06)))
+
+
+def _signs_at_junctions(layout: Layout, rng: np.random.Generator) -> Placed:
+    """The main road has priority, and some of it leads straight on only; side roads give way."""
+    for lane, line in edges(layout):
+        if any(_leads_to(line, j) for j in layout.site.network.junctions):
+            ahead_only = ["ahead_only"] if rng.random() < 0.25 else []
+            gives_way = "stop" if rng.random() < 0.4 else "yield"
+            names = ["priority", *ahead_only] if is_main(lane) else [gives_way]
+            point, heading = _before_end(line, _kerbside(lane), 9.0)
+            if layout.in_view(point):
+                yield _sign(layout, names, point, heading, rng)
+
+
+SHARP_PER_M = 1 / 300
+"""Curves from this curvature on are signed."""
+CHEVRONS_M = 14.0
+WARNED_M = 45.0
+"""A sign stands this far before the curve that it warns of."""
+
+
+def _signs_in_curves(layout: Layout, rng: np.random.Generator) -> Placed:
+    """Before a sharp curve a warning, and along the outside of one to the left, chevrons."""
+    for lane, line in edges(layout):
+        kerb = offset_line(line, _kerbside(lane))
+        for start, end, to_the_left in sharp_curves(kerb):
+            point, heading = at_station(kerb, max(start - WARNED_M, 2.0))
+            name = "curve_left" if to_the_left else "warning"
+            if layout.in_view(point):
+                yield _sign(layout, [name], point, float(heading), rng)
+            for s in np.arange(start, end, CHEVRONS_M) if to_the_left else ():
+                point, heading = at_station(kerb, float(s))
+                if layout.in_view(point):
+                    yield _sign(layout, ["chevron"], point, float(heading), rng)
+
+
+def sharp_curves(line: Array) -> Iterator[tuple[float, float, bool]]:
+    """Stretches of a line from SHARP_PER_M on: (start, end) [m], and whether it bends left."""
+    step = 8.0
+    s = np.arange(0.0, stations(line)[-1], step)
+    _, heading = at_station(line, s)
+    bend = np.gradient(heading, step) if len(s) > 1 else 0 * s
+    for sign in (1, -1):
+        sharp = np.concatenate([[0], (sign * bend > SHARP_PER_M).astype(int), [0]])
+        change = np.diff(sharp)
+        for k, end in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
+            if end - k > 2:
+                yield float(s[k]), float(s[end - 1]), sign > 0
 
 
 def _billboard(layout: Layout, point: Array, heading: float, rng: np.random.Generator) -> Model:
@@ -137,22 +259,39 @@ def _billboard(layout: Layout, point: Array, heading: float, rng: np.random.Gene
     return _stands(layout, model, place, heading + np.pi - 0.35, radius=2.0)
 
 
+GANTRY_AHEAD_M = (50.0, 160.0)
+BEYOND_ROAD_M = 1.5
+"""from the paved ground to the legs of a gantry: behind the guard rails"""
+
+
 def gantry(layout: Layout) -> Placed:
-    """A gantry with direction boards across a motorway."""
+    """A gantry with direction boards across both carriageways of a motorway."""
     rng = layout.spec.stream("gantry")
-    medians = [lane.centre for lane in layout.lanes if lane.kind == "median"]
-    if not layout.spec.gantry or not medians:
+    median = _median(layout)
+    if not layout.spec.gantry or median is None or layout.site.network.given is not None:
         return
-    network = layout.site.network
-    ahead = network.rig_station + float(rng.uniform(50.0, 160.0))
-    point, heading = at_station(network.rig_lane.centre, ahead)
-    middle = np.concatenate(medians)
-    nearest = middle[np.argmin(np.linalg.norm(middle[:, :2] - point[:2], axis=1))]
-    if not layout.open_above(nearest, 20.0):
-        return
-    width = 2 * (layout.spec.road.lanes * layout.spec.road.lane_width_m + 5.0)
-    model = furniture.gantry(layout.sign_rects, width, rng=rng)
-    yield layout.stand(model, nearest, float(heading) + np.pi)
+    middle = resampled(median.offset(median.width / 2), 2.0)
+    half = max(_half_width(layout, median.road, side) for side in ("left", "right"))
+    half += BEYOND_ROAD_M
+    rig = stations(middle)[np.linalg.norm(middle[:, :2] - layout.rig_xy, axis=1).argmin()]
+    for ahead in rng.uniform(*GANTRY_AHEAD_M, 8):
+        point, heading = at_station(middle, rig + ahead)
+        left = np.array([-np.sin(heading), np.cos(heading)])
+        feet = point[:2] + np.array([[half + 0.2], [-half - 0.2]]) * left
+        free = layout.site.clear_of(feet, road=1.0, pavement=0.3, buildings=0.5).all()
+        if (
+            free
+            and layout.open_above(point, 20.0)
+            and layout.site.claim(np.column_stack([feet, [0.4, 0.4]]))
+        ):
+            model = furniture.gantry(layout.sign_rects, 2 * half, rng=rng)
+            yield layout.stand(model, point, float(heading) + np.pi, z=float(point[2]))
+            return
+
+
+def _half_width(layout: Layout, road: str, side: str) -> float:
+    """From the reference line of a road to its outer edge on one side [m]."""
+    return sum(x.width for x in layout.lanes if (x.road, x.side) == (road, side))
 
 
 # --- along the edge ------------------------------------------------------------------------------

@@ -54,9 +54,9 @@ WHEELS = {
     "car": Wheels(0.16, 0.35, 0.5),
     "truck": Wheels(0.18, 0.65, 0.7),
     "bus": Wheels(0.15, 0.6, 0.7),
-    "motorcycle": Wheels(0.08, 0.25, 0.3),
+    "rider": Wheels(0.08, 0.25, 0.3),
 }
-"""by class in ``spec["movers"]``"""
+"""By class in ``spec["movers"]``; riders so fast are on motorcycles."""
 
 
 @dataclass(frozen=True)

@@ -33,24 +33,26 @@ class _Fleet:
 
     layout: Layout
     mix: dict[str, float]
+    under_way: bool
     rng: np.random.Generator
 
     def draw(self) -> Vehicle:
         """A vehicle in colours of its own."""
         family = vehicles.draw_family(rng=self.rng, mix=self.mix)
-        share = vehicles.FAMILIES[family].share
-        number = int(self.rng.integers(1 + round(NUM_DESIGNS * share)))
-        designs = self.layout.designs
-        if (family, number) not in designs:
+        kind = vehicles.FAMILIES[family]
+        number = int(self.rng.integers(1 + round(NUM_DESIGNS * kind.share)))
+        designs, ridden = self.layout.designs, self.under_way and kind.ridden is not None
+        key = (family, number, ridden)
+        if key not in designs:
             own = self.layout.spec.stream(f"design {family} {number}")
-            designs[family, number] = vehicles.build(family, rng=own)
-        return designs[family, number].repainted(rng=self.rng)
+            designs[key] = vehicles.build(family, rng=own, ridden=ridden)
+        return designs[key].repainted(rng=self.rng)
 
 
 def moving(layout: Layout) -> Placed:
     """Vehicles in their lanes, with gaps of at least a second or so."""
     rng, speeds = layout.spec.stream("traffic"), layout.spec.stream("speeds")
-    fleet = _Fleet(layout, dict(layout.spec.families), rng)
+    fleet = _Fleet(layout, dict(layout.spec.families), under_way=True, rng=rng)
     mean_gap = 1000.0 / max(layout.spec.moving_per_km, 0.1)
     for lane in layout.lanes:
         if lane.kind == "driving" and not lane.in_junction:
@@ -64,7 +66,7 @@ def parked(layout: Layout) -> Placed:
     """Vehicles in the bays of parking lanes."""
     rng = layout.spec.stream("parked")
     small = {k: v for k, v in layout.spec.families.items() if k not in _HEAVY}
-    fleet = _Fleet(layout, small, rng)
+    fleet = _Fleet(layout, small, under_way=False, rng=rng)
     for lane in layout.lanes:
         if lane.kind == "parking" and not lane.in_junction:
             for s in np.arange(3.0 + BAY_M / 2, stations(lane.centre)[-1] - BAY_M, BAY_M):
@@ -113,8 +115,8 @@ def _vehicle(
     if not layout.in_view(xy):
         return
     vehicle = fleet.draw()
-    reach = vehicle.length / 2
-    discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, 6)]
+    reach, num = vehicle.length / 2, int(np.ceil(vehicle.length)) + 1
+    discs = [(*(xy + d * along), vehicle.width / 2 + 0.15) for d in np.linspace(-reach, reach, num)]
     if layout.site.claim(discs):
         normal = road_normal(lane.centre, s, along)
         speed_m_s = min(speed_m_s, HEAVY_M_S) if vehicle.family in _HEAVY else speed_m_s

@@ -8,7 +8,7 @@ from simgen.furniture import wires
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, edges, sunk
 from simgen.mesh import Model, Part, part
-from simgen.roads import Lane, offset_line, points_at, resampled, stations
+from simgen.roads import is_main, offset_line, points_at, resampled, stations
 from simgen.street_solids import BLACK, POLE, STEEL, UP, assembled, bars, rod
 
 CONTACT_M = 5.7
@@ -34,15 +34,11 @@ def overhead(layout: Layout) -> Placed:
         yield assembled([*hung, *_contact_lines(layout)])
 
 
-def _is_main(lane: Lane) -> bool:
-    return lane.road.startswith("road/main")
-
-
 def _opposite_edges(layout: Layout) -> dict[str, list[Array]]:
     """By piece of the main road: where poles stand on either side, both lines running ahead."""
     lines: dict[str, list[Array]] = {}
     for lane, _ in edges(layout):
-        if _is_main(lane) and lane.kind == "sidewalk":
+        if is_main(lane) and lane.kind == "sidewalk":
             line = lane.offset(lane.width / 2 - 0.45)
             lines.setdefault(lane.road, []).append(line if lane.side == "right" else line[::-1])
     return lines
@@ -75,7 +71,7 @@ def _contact_lines(layout: Layout) -> list[Part]:
     """Two wires over the outermost driving lane of each direction, straight over junctions."""
     parts = []
     for side in ("right", "left"):
-        lanes = [x for x in layout.site.network.driving if _is_main(x) and x.side == side]
+        lanes = [x for x in layout.site.network.driving if is_main(x) and x.side == side]
         rank = max((x.rank for x in lanes), default=0)
         pieces = sorted((x for x in lanes if x.rank == rank), key=lambda x: x.road,
                         reverse=side == "left")  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 
 from simgen.bodyshell import Arch, Array, Outline, band_grid, shell
 from simgen.mesh import Model, Part
-from simgen.motorcycle import motorcycle_pieces
+from simgen.motorcycle import motorcycle_pieces, on_stand, rider
 from simgen.schema import LABELS
 from simgen.vehicle_parts import (
     GLASS,
@@ -131,6 +131,8 @@ class Family:
     """length of the cab of a truck"""
     fleet_paints: int = 0
     """how many colours of FLEET_PAINTS it wears; 0: one of PAINTS"""
+    ridden: Callable[[Family, Paints, Rng], tuple[Model, Size]] | None = None
+    """assembles it with its rider, if it has one rather than someone behind glass"""
 
 
 # Paints by their share of new cars, linear albedo.
@@ -156,8 +158,10 @@ FLEET_PAINTS: tuple[tuple[float, Rgb], ...] = (
 )
 
 
-def build(family: str, *, rng: Rng) -> Vehicle:
+def build(family: str, *, rng: Rng, ridden: bool = False) -> Vehicle:
     """A vehicle of a family of FAMILIES: size, colours and details drawn by ``rng``.
+
+    If it is ``ridden``, a kind that has a rider comes with one.
 
     Raises:
         ValueError: no such family.
@@ -166,7 +170,8 @@ def build(family: str, *, rng: Rng) -> Vehicle:
         raise ValueError(f"vehicle family {family!r} is unknown; expected one of {list(FAMILIES)}")
     kind = FAMILIES[family]
     paints = _drawn_paints(kind, rng)
-    model, size = kind.assemble(kind, paints, rng)
+    assemble = (ridden and kind.ridden) or kind.assemble
+    model, size = assemble(kind, paints, rng)
     return Vehicle(model, *size, family, paints)
 
 
@@ -376,19 +381,29 @@ def _semi_trailer(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size
     return model_of(tractor, family.semantic) + model_of(trailer, LABELS["trailer"]), size
 
 
+def _upright(family: Family, size: Size, paint: Rgb, rng: Rng) -> tuple[list[Piece], Range]:
+    """A motorcycle without its rider, and x of its axles."""
+    front, rear = (size.length * (0.5 - f) for f in family.axles)
+    radius = float(rng.uniform(*family.wheel_radius_m))
+    pieces = motorcycle_pieces((front, rear), radius, size.width, size.height, ("paint", paint))
+    return pieces, (front, rear)
+
+
 def _motorcycle(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
     """A parked motorcycle."""
     size = _size(family, rng)
-    front, rear = (size.length * (0.5 - f) for f in family.axles)
-    pieces = motorcycle_pieces(
-        (front, rear),
-        float(rng.uniform(*family.wheel_radius_m)),
-        size.width,
-        size.height,
-        ("paint", paints[0]),
-        lean_rad=float(np.deg2rad(rng.uniform(7, 11))),
-    )
-    return model_of(pieces, family.semantic), size
+    pieces, axles = _upright(family, size, paints[0], rng)
+    lean_rad = float(np.deg2rad(rng.uniform(7, 11)))
+    return model_of(on_stand(pieces, axles, lean_rad), family.semantic), size
+
+
+def _motorcyclist(family: Family, paints: Paints, rng: Rng) -> tuple[Model, Size]:
+    """A motorcycle and who rides it, in a helmet of its colour."""
+    size = _size(family, rng)
+    pieces, axles = _upright(family, size, paints[0], rng)
+    person = rider(axles, size.width, size.height, paints[0], rng=rng)
+    top = float(person.vertices[:, 2].max())
+    return [*model_of(pieces, family.semantic), person], size._replace(height=top)
 
 
 _CAR_BOTTOM: Curve = (
@@ -507,7 +522,7 @@ FAMILIES: dict[str, Family] = {
         tumblehome=0.07, corner_m=0.26, bow_m=(0.2, 0.06), crown_m=0.2, cladding_m=0.07,
     ),
     "motorcycle": Family(
-        assemble=_motorcycle, semantic=LABELS["motorcycle"], share=0.01,
+        assemble=_motorcycle, ridden=_motorcyclist, semantic=LABELS["motorcycle"], share=0.01,
         length_m=(2.0, 2.25), width_m=(0.74, 0.9), height_m=(1.08, 1.2),
         axles=(0.16, 0.84), wheel_radius_m=(0.3, 0.33),
     ),

@@ -155,6 +155,10 @@ def _lattice_beam(start: ArrayLike, end: ArrayLike, width: float, color: Array) 
 
 NEAR_M = (14.0, 80.0)
 """Works begin this far ahead of the rig."""
+NARROW_M = 1.2
+"""Boards do not fit between the lanes and the edge of the road if that is no more than this."""
+BEHIND_RAIL_M = -1.85
+"""where they stand then, from that edge"""
 
 
 def road_works(layout: Layout) -> Placed:
@@ -188,7 +192,7 @@ def _closed_off(layout: Layout, line: Array, span: tuple[float, float], width: f
     beside_lane = offset_line(line, width - 0.25)
     for s in np.arange(span[0], span[1], 3.5):
         yield _put(layout, cone, beside_lane, float(s), 0.25)
-    kerbside = offset_line(line, max(width - 1.3, 0.0))
+    kerbside = offset_line(line, width - 0.95 if width > NARROW_M else BEHIND_RAIL_M)
     board = barrier_board(rng=rng)
     for s in span:
         yield _put(layout, board, kerbside, s, 0.7, np.pi)
@@ -196,7 +200,9 @@ def _closed_off(layout: Layout, line: Array, span: tuple[float, float], width: f
     yield _put(layout, warning, kerbside, max(span[0] - 6.0, 0.5), 0.4, np.pi)
     verge = offset_line(line, -2.9)
     middle = float(rng.uniform(span[0] + 3.0, span[1] - 3.0))
-    yield _put(layout, excavator(rng=rng), verge, middle, 2.1, float(rng.uniform(0.2, 2.5)))
+    turn = float(rng.uniform(0.2, 0.7))  # away from the road, ahead or back
+    turn = -turn if rng.random() < 0.5 else turn - np.pi
+    yield _put(layout, excavator(rng=rng), verge, middle, 2.1, turn)
     for s in (span[0] + 1.5, span[1] - 1.5):
         yield _put(layout, soil_heap(rng=rng), verge, s, 1.6)
 
@@ -205,10 +211,10 @@ def _put(layout: Layout, model: Model, line: Array, s: float, radius: float,
          turn: float = 0.0) -> Model:  # fmt: skip
     """The model at a station of a line, turned from the line's heading, if its place is free."""
     point, heading = at_station(line, s)
-    buildings_at = layout.site.clear_of(point[:2], road=-1, pavement=-1, buildings=radius)
-    if not buildings_at[0] or not layout.site.claim([(*point[:2], radius)]):
-        return []
-    return sunk(layout.stand(model, point, float(heading) + turn), 0.02)
+    standing = sunk(layout.stand(model, point, float(heading) + turn), 0.02)
+    outline = np.concatenate([point[None, :2], *(p.vertices[:, :2] for p in standing)])
+    clear = layout.site.clear_of(outline, road=-1, pavement=-1, buildings=0.2).all()
+    return standing if clear and layout.site.claim([(*point[:2], radius)]) else []
 
 
 SITE_M = (22.0, 14.0)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
 from test_ground import make_spec
 
 from simgen import bridges, crossings, roads, roadside, traffic, trolley, works
@@ -98,19 +97,6 @@ def test_bridges_reach_the_ground_and_nothing_else_reaches_into_their_decks(plan
     x, y, z = _local(crossing, np.concatenate(others)).T
     over = (np.abs(x) < crossing.half_width_m) & (-crossing.right_m < y) & (y < crossing.left_m)
     assert not (over & (z > crossing.soffit_m) & (z < crossing.soffit_m + 1.0)).any()
-
-
-@pytest.mark.parametrize("recipe", ["urban", "highway"])
-def test_works_leave_the_lanes_free(recipe):
-    spec = _spec(recipe, 3, road_works=True)
-    site = Site(roads.build(spec))
-    layout = _layout(site, spec, None)
-    placed = [p.vertices for model in works.road_works(layout) for p in model
-              if p.semantic == LABELS["dynamic"]]  # fmt: skip
-    xy = np.concatenate(placed)[:, :2]
-    lanes = [shapely.LineString(x.centre[:, :2]).buffer(x.width / 2 - 0.1, cap_style="flat")
-             for x in site.network.driving]  # fmt: skip
-    assert not shapely.contains_xy(shapely.union_all(lanes), xy).any()
 
 
 def test_contact_wires_hang_at_their_height_over_the_road():

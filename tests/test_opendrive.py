@@ -8,13 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+from flat_sites import RECTS, FlatSite
 from scipy.integrate import quad
 from test_ground import make_spec
 
-from simgen import given_map, markings, roads
+from simgen import furniture, given_map, markings, passers_by, roads, roadside
 from simgen.alignment import lines, reference, strips, things
 from simgen.config import Job, RenderOptions, resolve
 from simgen.errors import UserError
+from simgen.layout import Layout
+from simgen.mesh import Model
 from simgen.opendrive import read
 from simgen.recipe import scenes_dir
 from simgen.roads import at_station, stations
@@ -258,6 +262,46 @@ def test_paint_is_the_maps():
     assert len([t for t in network.given.things if t.type == "1000001"]) == 4
 
 
+# --- what stands on a map ------------------------------------------------------------------------
+
+
+def flat(name: str) -> Layout:
+    """A layout on a map's roads, full of people."""
+    spec = replace(make_spec("urban", 1), pedestrians_per_100m=60.0)
+    spec = replace(spec, sky=replace(spec.sky, rain_mm_h=0.0))
+    return Layout(FlatSite(given(name)), spec, np.array([[-120.0, 0.0]]), RECTS, 1.0)
+
+
+def test_people_cross_on_the_maps_crosswalks():
+    layout = flat("signal_crossing")
+    zebras = shapely.union_all([shapely.Polygon(t.outline) for t in layout.site.network.given.things
+                                if t.type == "crosswalk"])  # fmt: skip
+    lanes = shapely.union_all([shapely.LineString(x.centre[:, :2]).buffer(x.width / 2 - 0.2)
+                               for x in layout.site.network.driving])  # fmt: skip
+    feet = shapely.points([m.xyz[:2] for m in passers_by.pedestrians(layout)])
+    crossing = feet[shapely.contains(lanes, feet)]
+    assert len(crossing) > 3
+    assert shapely.distance(zebras, crossing).max() < 1.5
+
+
+def test_lights_of_a_maps_crossing_show_one_phase(monkeypatch):
+    shown: list[str] = []
+
+    def signal(state: str, *, rng: np.random.Generator, reach_m: float) -> Model:
+        shown.append(state)
+        return []
+
+    monkeypatch.setattr(furniture, "traffic_signal", signal)
+    layout = flat("signal_crossing")
+    list(roadside.signals(layout))
+    lights = [t for t in layout.site.network.given.things if t.type == "1000001"]
+    assert len(shown) == len(lights) == 4
+    along = np.array([abs(np.cos(t.heading - lights[0].heading)) > 0.7 for t in lights])
+    states = [set(np.array(shown)[axis]) for axis in (along, ~along)]
+    assert [len(s) for s in states] == [1, 1]
+    assert {"red"} in states
+
+
 # --- a job with a map ----------------------------------------------------------------------------
 
 
@@ -271,6 +315,20 @@ def test_a_set_names_its_map_by_its_hash_and_keeps_a_copy(tmp_path):
     content = mine.content()
     assert Job.from_content(content, given_map.kept(tmp_path, content["opendrive"])) == mine
     assert content != job(MAPS["station_street"]).content()
+
+
+def test_the_recipes_of_a_map_are_those_of_its_roads_unless_some_are_named():
+    town, silent = (MAPS[name] for name in ("signal_crossing", "station_street"))
+    assert set(job(town).recipes) == {"urban", "suburban"}
+    assert job(silent).recipes == resolve(RenderOptions(n=3), "scalar_rgb").recipes
+    named = resolve(RenderOptions(n=3, opendrive=town, recipes="highway"), "scalar_rgb")
+    assert set(named.recipes) == {"highway"}
+
+
+@pytest.mark.parametrize("stated, kind", [("motorway", "motorway"), ("townArterial", "town"),
+                                          ("rural", "rural"), ("unknown", "")])  # fmt: skip
+def test_a_map_is_of_the_kind_of_most_of_its_metres(stated, kind):
+    assert given_map.road_kind(one_road(more=f'<type s="0" type="{stated}"/>')) == kind
 
 
 @pytest.mark.parametrize("spoil", [Path.unlink, lambda p: p.write_bytes(b"<OpenDRIVE/>")])

@@ -120,6 +120,15 @@ def test_speeds_are_those_of_their_kind(placed):
     assert speeds["moving"].max() < 20.0
 
 
+@pytest.mark.parametrize("step", [traffic.moving, traffic.parked])
+def test_motorcycles_have_a_rider_exactly_where_they_move(network, step):
+    spec = replace(busy(), families={"motorcycle": 1.0}, moving_per_km=30.0, parked=0.9)
+    movers = list(step(layout_of(network, spec)))
+    assert len(movers) > 5
+    expected = "rider" if step is traffic.moving else "motorcycle"
+    assert {m.record(1)["class"] for m in movers} == {expected}
+
+
 def test_a_driver_keeps_a_second_from_the_car_ahead():
     rng = np.random.default_rng(0)
     for gap in (5.0, 9.0, 15.0, 40.0, np.inf):

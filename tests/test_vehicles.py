@@ -13,6 +13,7 @@ CARS = ("hatchback", "saloon", "estate", "suv", "van")
 EXPECTED_LABELS = {family: {26} for family in CARS} | {
     "box_truck": {27}, "semi_trailer": {27, 30}, "bus": {28}, "motorcycle": {32},
 }  # fmt: skip
+MOTORCYCLES = [build("motorcycle", rng=np.random.default_rng(s), ridden=True) for s in range(8)]
 
 
 @pytest.fixture(scope="module", params=[(f, seed) for f in FAMILIES for seed in (0, 1, 2)], ids=str)
@@ -91,6 +92,41 @@ def test_painted_surfaces_are_symmetric(family: str) -> None:
     paint = np.concatenate([p.vertices for p in model if p.material == "paint"])
     points = {tuple(p) for p in paint.round(6) + 0.0}
     assert points == {tuple(p) for p in (paint * [1, -1, 1]).round(6) + 0.0}
+
+
+@pytest.mark.parametrize("ridden", MOTORCYCLES, ids=range(8))
+def test_a_ridden_motorcycle_is_upright_under_its_rider(ridden: Vehicle) -> None:
+    *machine, rider = ridden.model
+    assert ({p.semantic for p in machine}, rider.semantic) == ({32}, 25)
+    vertices = _vertices(ridden)
+    assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    assert vertices[:, 2].max() == pytest.approx(ridden.height)
+    assert sum(len(p.faces) for p in ridden.model) <= 5000
+    paint = np.concatenate([p.vertices for p in machine if p.material == "paint"])
+    points = {tuple(p) for p in paint.round(6) + 0.0}
+    assert points == {tuple(p) for p in (paint * [1, -1, 1]).round(6) + 0.0}
+
+
+@pytest.mark.parametrize("ridden", MOTORCYCLES, ids=range(8))
+def test_a_rider_sits_with_feet_on_the_pegs_and_hands_on_the_grips(ridden: Vehicle) -> None:
+    *machine, rider = ridden.model
+    things = np.concatenate([p.vertices for p in machine])
+    body = rider.vertices
+    hands = body[(np.abs(body[:, 1]) > 0.28) & (body[:, 0] > 0.05)]
+    for side in (1, -1):
+        grip = things[np.argmax(side * things[:, 1])]
+        hand = hands[np.sign(hands[:, 1]) == side]
+        assert np.linalg.norm(hand - grip, axis=1).min() < 0.12
+    feet = body[body[:, 2] < 0.4]
+    assert 0.3 < feet[:, 2].min() < 0.35
+    assert np.abs(feet[:, 1]).min() > 0.1, "beside the engine, not in it"
+    assert (body[np.abs(body[:, 1]) < 0.05, 2] > 0.7).all(), "nothing below the saddle"
+
+
+def test_nothing_rides_what_has_no_saddle() -> None:
+    plain, ridden = (build("bus", rng=np.random.default_rng(0), ridden=r) for r in (False, True))
+    for a, b in zip(plain.model, ridden.model, strict=True):
+        np.testing.assert_array_equal(a.vertices, b.vertices)
 
 
 def test_the_same_seed_gives_the_same_vehicle_and_another_seed_another() -> None:
@@ -180,9 +216,11 @@ def test_an_unknown_family_is_an_error_that_lists_the_known_ones() -> None:
         build("tank", rng=np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_repainting_changes_the_paint_and_nothing_else(family: str):
-    design = build(family, rng=np.random.default_rng(1))
+@pytest.mark.parametrize(
+    ("family", "ridden"), [*((f, False) for f in FAMILIES), ("motorcycle", True)]
+)
+def test_repainting_changes_the_paint_and_nothing_else(family: str, ridden: bool):
+    design = build(family, rng=np.random.default_rng(1), ridden=ridden)
     copy = design.repainted(rng=np.random.default_rng(2))
     assert not set(copy.paints) & set(design.paints)
     for before, after in zip(design.model, copy.model, strict=True):
