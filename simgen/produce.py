@@ -1,7 +1,8 @@
 """One frame, from its number to arrays: spec → world → images and ground truth.
 
 Everything about frame i follows from (dataset seed, i, attempt), never from what was rendered
-before, by whom, or in which order.
+before, by whom, or in which order. Where several frames share a scene, attempts change what is a
+frame's own: rig, shower, paths and noise.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from simgen.ground import Optics
 from simgen.metering import Exposure, expose
 from simgen.recipe import SceneSpec, SkySpec, draw_scene, draw_sky, pick, stream
 from simgen.rig import PosedRig, pose
-from simgen.run import FrameRejected, FrameResult, FrameTask
+from simgen.run import MAX_ATTEMPTS, FrameRejected, FrameResult, FrameTask
 from simgen.store import write_frame
 
 M_ARENA_MAX, M_MMAP_THRESHOLD = -8, -3
@@ -100,9 +101,12 @@ def draw_spec(job: Job, scene_index: int, attempt: int) -> SceneSpec:
 def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:
     """Draws the scene and poses the rig in it."""
     scene_index = scene_of(index, job.frames_per_scene)
-    spec = draw_spec(job, scene_index, attempt)
     step = index - scene_index * job.frames_per_scene
-    drive = world.drive(spec, step, job.opendrive, num_steps=job.frames_per_scene)
+    if job.frames_per_scene == 1:
+        spec = draw_spec(job, scene_index, attempt)
+        drive = world.drive(spec, step, job.opendrive)
+    else:
+        spec, drive = _shared_scene(job, scene_index, step)
     rng = stream(job.seed, index, attempt, "rig")
     posed = pose(job.rig, drive.T_world_vehicle, job.wh, rng=rng)
     shower = rain.draw_shower(
@@ -111,6 +115,20 @@ def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:
         rng=stream(job.seed, index, attempt, "shower"),
     )  # fmt: skip
     return FramePlan(index, attempt, scene_index, spec, drive, posed, shower)
+
+
+def _shared_scene(job: Job, scene_index: int, step: int) -> tuple[SceneSpec, world.Drive]:
+    """The first draw of a scene whose road can be built and is long enough, and the rig in it.
+
+    It follows from the scene alone: a frame that is drawn again stays in the scene of the others.
+    """
+    for attempt in range(MAX_ATTEMPTS):
+        spec = draw_spec(job, scene_index, attempt)
+        try:
+            return spec, world.drive(spec, step, job.opendrive, num_steps=job.frames_per_scene)
+        except Exception as error:  # as with one frame to a scene: whatever a road breaks on
+            reason = f"{type(error).__name__}: {error}"
+    raise RuntimeError(f"no road for scene {scene_index} in {MAX_ATTEMPTS} draws: {reason}")
 
 
 def make_frame(job: Job, index: int, attempt: int) -> tuple[dict[str, Any], dict[str, float]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simgen import engine, export, halos, spray
+from simgen import engine, export, halos, spray, world
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
 from simgen.errors import UserError
@@ -21,6 +21,7 @@ from simgen.produce import (
     render_frame_file,
     scene_of,
 )
+from simgen.recipe import SceneSpec
 from simgen.run import FrameTask
 from simgen.store import content_sha256, stored_content, write_frame
 
@@ -101,6 +102,36 @@ def test_frames_of_a_scene_share_the_road_but_not_the_rig(job):
     ahead = second.drive.T_world_vehicle[:3, 3] - first.drive.T_world_vehicle[:3, 3]
     assert 2.0 < np.linalg.norm(ahead) < 4.0
     assert not np.array_equal(first.posed.perturbation_deg, second.posed.perturbation_deg)
+
+
+def test_a_frame_that_is_drawn_again_stays_in_the_scene_of_the_others(job):
+    drive = replace(job, frames_per_scene=2)
+    first, second, again = (plan_frame(drive, *x) for x in ((2, 0), (3, 0), (3, 1)))
+    assert first.spec == second.spec == again.spec
+    np.testing.assert_array_equal(second.drive.T_world_vehicle, again.drive.T_world_vehicle)
+    assert not np.array_equal(second.posed.perturbation_deg, again.posed.perturbation_deg)
+
+
+def test_the_only_frame_of_a_scene_is_drawn_again_with_it(job):
+    assert plan_frame(job, 2, 1).spec == draw_spec(job, 2, 1) != draw_spec(job, 2, 0)
+
+
+def test_frames_share_the_first_draw_whose_road_can_be_built(job, monkeypatch):
+    shared, build = replace(job, frames_per_scene=2), world.drive
+    unbuildable = [draw_spec(shared, 1, 0)]
+
+    def drive(spec: SceneSpec, *args: object, **kwargs: object) -> world.Drive:
+        if spec in unbuildable:
+            raise RuntimeError("no road")
+        return build(spec, *args, **kwargs)
+
+    monkeypatch.setattr(world, "drive", drive)
+    assert {plan_frame(shared, *x).spec.seed for x in ((2, 0), (3, 0), (3, 2))} == {
+        draw_spec(shared, 1, 1).seed
+    }
+    unbuildable += [draw_spec(shared, 1, k) for k in (1, 2)]
+    with pytest.raises(RuntimeError, match="no road for scene 1 in 3 draws: RuntimeError: no road"):
+        plan_frame(shared, 2, 0)
 
 
 def test_scene_index_counts_whole_scenes():
