@@ -171,7 +171,8 @@ class LoopOptions:
     val_every: int = 500
     """steps between validations; each one also writes a checkpoint"""
     overfit: int = 0
-    """self-check: train on this many pairs as they stand, and validate on the same"""
+    """self-check: train on this many pairs as they stand, and validate on the same. It has a
+    schedule of its own, 250 steps; give --max-steps, --lr, … for another"""
 
 
 @dataclass(frozen=True)
@@ -327,3 +328,8 @@ RIVAL_TRAINING: dict[str, RivalOptions] = {
     "vitpose": _rival("vitpose", lr=5e-4, clip=2.5),
 }
 """for a CPU: smaller batches than the papers', which have 60 or so"""
+
+OVERFIT: dict[str, Any] = {
+    "max_steps": 250, "lr": 1e-3, "lr_final": 0.005, "warmup_steps": 20, "val_every": 25
+}  # fmt: skip
+"""defaults of every preset with --overfit: ``small`` knows 4 pairs after 150 of these steps"""

@@ -20,6 +20,7 @@ from torch import Tensor
 from flowrect import loop
 from flowrect.config import (
     MODELS,
+    OVERFIT,
     RIVAL_TRAINING,
     TRAINING,
     PoseOptions,
@@ -276,12 +277,18 @@ def choose_preset(arguments: Sequence[str]) -> tuple[str, str]:
 
 
 def parsed(arguments: Sequence[str], preset: str) -> AnyOptions:
-    """The options, with the preset's defaults; a misspelt name is for tyro to refuse."""
+    """The options, with the preset's defaults, and with --overfit those of its schedule."""
+    default = {**TRAINING, **RIVAL_TRAINING}.get(preset, TRAINING["small"])
+    options = _parsed(arguments, default)
+    return _parsed(arguments, replace(default, **OVERFIT)) if options.overfit else options
+
+
+def _parsed(arguments: Sequence[str], default: AnyOptions) -> AnyOptions:
+    """A misspelt name is for tyro to refuse."""
     command: dict[str, Any] = {"args": arguments, "prog": "flowrect.train"}
-    if preset in RIVAL_TRAINING:
+    if isinstance(default, RivalOptions):
         command["config"] = (tyro.conf.AvoidSubcommands,)  # the preset says which rival it is
-        return tyro.cli(RivalOptions, default=RIVAL_TRAINING[preset], **command)
-    return tyro.cli(TrainOptions, default=TRAINING.get(preset, TRAINING["small"]), **command)
+    return tyro.cli(type(default), default=default, **command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

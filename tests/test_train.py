@@ -512,6 +512,16 @@ def test_the_command_without_arguments_looks_for_shards(tmp_path, monkeypatch, c
     assert "shards: no such folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("preset", ["small", "paper", "vitpose"])
+def test_an_overfit_check_has_a_schedule_of_its_own(preset):
+    usual = train.parsed(["--data", "x", "--preset", preset], preset)
+    check = train.parsed(["--data", "x", "--preset", preset, "--overfit", "4"], preset)
+    assert usual.max_steps == 0
+    assert (check.max_steps, check.lr, check.overfit) == (250, 1e-3, 4)
+    given = ["--data", "x", "--preset", preset, "--overfit=4", "--lr", "7e-4"]
+    assert train.parsed(given, preset).lr == 7e-4
+
+
 def test_an_overfit_check_fails_where_it_misses_its_bar(data, tmp_path, monkeypatch):
     arguments = ["--data", str(data), "--out", str(tmp_path), "--preset", "small", "--overfit", "2"]
     for scores, code in (({"geodesic_deg": 0.3}, 1), ({"geodesic_deg": 0.01}, 0), ({}, 0)):
