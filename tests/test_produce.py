@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simgen import engine, export, halos, spray, world
+from simgen import engine, export, halos, report, sensor, show, spray, world
 from simgen.checks import check_frame
 from simgen.config import Job, RenderOptions, resolve
 from simgen.errors import UserError
+from simgen.metering import Exposure
 from simgen.produce import (
     draw_spec,
     make_frame,
@@ -20,13 +21,26 @@ from simgen.produce import (
     plan_frame,
     render_frame_file,
     scene_of,
+    start,
 )
 from simgen.recipe import SceneSpec
-from simgen.run import FrameTask
-from simgen.store import content_sha256, stored_content, write_frame
+from simgen.run import FrameTask, SetFolder
+from simgen.shards import Manifest, ShardSet
+from simgen.store import Source, assemble, content_sha256, stored_content, write_frame
 
 OPTIONS = RenderOptions(n=3, size="96x54", recipes="rural", daylight="noon", spp=1)
+AT_NIGHT_IN_RAIN = replace(OPTIONS, daylight="night", weather="rain")
 IN_FOG = replace(OPTIONS, daylight="night", weather="fog")
+
+
+def _set_of_one(job: Job, source: Source, path: Path) -> Path:
+    """A finished set of one frame."""
+    path.mkdir()
+    manifest = SetFolder(path).open_manifest(job.content(), 16, len(job.rig.pairs))
+    entry = assemble(path / "test-00000.h5", [source], attributes={"schema_version": 1},
+                     split="test", compression="gzip")  # fmt: skip
+    replace(manifest, shards=[entry]).save(path)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -47,20 +61,25 @@ def test_a_frame_does_not_depend_on_what_was_rendered_before(job, frames):
     assert content_sha256(alone) == content_sha256(frames[1])
 
 
-def _in_other_process(job: Job, index: int, path: Path) -> None:
-    engine.activate(engine.choose(job.variant))
-    render_frame_file(FrameTask(job, index, 0, path))
+def _in_a_worker(jobs: list[Job], folder: Path) -> None:
+    """Frame 0 of each job, as a worker of a run makes it."""
+    start(engine.choose(jobs[0].variant), 1, jobs[0].wh)
+    for k, job in enumerate(jobs):
+        render_frame_file(FrameTask(job, 0, 0, folder / f"{k}.h5"))
 
 
-def test_another_process_renders_the_same_bits(job, frames, tmp_path):
-    path = tmp_path / "frame.h5"
+def test_a_worker_renders_the_same_bits(job, frames, tmp_path):
+    wet = resolve(AT_NIGHT_IN_RAIN, job.variant)
     child = multiprocessing.get_context("spawn").Process(
-        target=_in_other_process, args=(job, 0, path)
+        target=_in_a_worker, args=([job, wet], tmp_path)
     )
     child.start()
+    at_night = make_frame(wet, 0, attempt=0)[0]
     child.join()
     assert child.exitcode == 0
-    assert stored_content(path) == content_sha256(frames[0])
+    assert at_night["spec"]["rain"]["lens_drops"]
+    assert stored_content(tmp_path / "0.h5") == content_sha256(frames[0])
+    assert stored_content(tmp_path / "1.h5") == content_sha256(at_night)
 
 
 def test_another_seed_attempt_or_index_is_another_frame(job, frames):
@@ -77,6 +96,25 @@ def test_every_frame_passes_the_thorough_check(job, frames):
     for frame in frames.values():
         failed = [f for f in check_frame(frame, pairs, thorough=True) if not f.passed]
         assert not failed
+
+
+def test_a_rig_of_four_cameras_is_rendered_checked_shown_and_reported(job, tmp_path):
+    lorry = resolve(replace(OPTIONS, rig="truck"), job.variant)
+    frame, _ = make_frame(lorry, 0, attempt=0)
+    findings = check_frame(frame, np.array(lorry.rig.pairs, dtype=np.uint8), thorough=True)
+    assert not [f for f in findings if not f.passed]
+    assert len({f.where for f in findings if f.check == "status_bits"}) == 12
+
+    waiting = tmp_path / "waiting.h5"
+    content = write_frame(waiting, frame, pairs=lorry.rig.pairs, compression="gzip")
+    folder = _set_of_one(lorry, Source(waiting, 0, content), tmp_path / "set")
+    (read,) = ShardSet(folder)
+    assert read.pairs == list(lorry.rig.pairs)
+    centres = read.T_world_cam_nominal[:, :3, 3]
+    assert np.linalg.norm(centres[3] - centres[0]) == pytest.approx(2.0)
+    assert show.save_picture(read, 5, tmp_path / "frame.png").stat().st_size > 10_000
+    page = report.write_report(folder, tmp_path / "report.html").read_text("utf-8")
+    assert "truck" in page
 
 
 def test_images_are_exposed(frames):
@@ -150,27 +188,13 @@ def test_recipes_are_drawn_by_their_shares(job):
 
 def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     """What the EXR files hold is what the shard holds, and their radiance develops to its image."""
-    from simgen import sensor
-    from simgen.metering import Exposure
-    from simgen.run import SetFolder, plan
-    from simgen.shards import ShardSet
-    from simgen.store import Source, assemble
-
     waiting = tmp_path / "waiting.h5"
     content = write_frame(waiting, frames[0], pairs=job.rig.pairs, compression="gzip")
-    folder = SetFolder(tmp_path / "set")
-    folder.path.mkdir()
-    manifest = folder.open_manifest(job.content(), 16, 3)
-    entry = assemble(
-        folder.path / "test-00000.h5", [Source(waiting, 0, content)],
-        attributes={"schema_version": 1}, split="test", compression="gzip",
-    )  # fmt: skip
-    replace(manifest, shards=[entry]).save(folder.path)
-    assert plan(3, 3, frames_per_scene=1, frames_per_shard=16, split="all").frames == [0]
+    folder = _set_of_one(job, Source(waiting, 0, content), tmp_path / "set")
 
     monkeypatch.setattr(export.engine, "activate", lambda chosen: None)
-    paths = export.export_frame(folder.path, 0, tmp_path / "out")
-    frame = ShardSet(folder.path)[0]
+    paths = export.export_frame(folder, 0, tmp_path / "out")
+    frame = ShardSet(folder)[0]
     frame_plan = plan_frame(job, 0, 0)
     for c in range(3):
         exr = export.read_exr(tmp_path / "out" / f"camera-{c}.exr")
@@ -187,7 +211,7 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     assert all(path.exists() for path in paths)
 
     # A set that today's program would draw otherwise is not given another scene's radiance.
-    other = {**manifest.config, "seed": manifest.config["seed"] + 1}
-    replace(manifest, shards=[entry], config=other).save(folder.path)
+    manifest = Manifest.load(folder)
+    replace(manifest, config={**manifest.config, "seed": job.seed + 1}).save(folder)
     with pytest.raises(UserError, match="is drawn otherwise by this one"):
-        export.export_frame(folder.path, 0, tmp_path / "again")
+        export.export_frame(folder, 0, tmp_path / "again")
