@@ -1,8 +1,8 @@
 """The countryside and the skyline between the last modelled street and the horizon.
 
 World frame: z up, metres, origin in the middle of the modelled area, a square of half side
-``inner_m``. Nothing here is seen from closer than about 200 m, so detail falls with distance, and
-haze is left to the renderer.
+``inner_m``. Nothing here is seen from closer than about 200 m, so detail falls with distance; haze
+is left to the renderer, and the light in windows at night to night.py.
 """
 
 from __future__ import annotations
@@ -250,8 +250,8 @@ def skyline(
     near_m: float,
     far_m: float,
     ground_height: HeightOfGround,
-) -> Model:
-    """``num`` far buildings in a few quarters around the origin, one part each."""
+) -> list[Model]:
+    """``num`` far buildings in a few quarters around the origin, one part per material each."""
     quarter = rng.uniform(0, 2 * np.pi, max(2, num // 8))
     azimuth = rng.choice(quarter, num) + rng.normal(0, 0.25, num)
     distance = near_m * (far_m / near_m) ** rng.uniform(0, 1, num)
@@ -260,9 +260,14 @@ def skyline(
     kinds = rng.choice(list(BUILDINGS), num, p=[b[1] for b in BUILDINGS.values()])
     heading = rng.uniform(0, 2 * np.pi, num)
     return [
-        merged(placed(BUILDINGS[kind][0](rng), xyz=xyz, heading_rad=turn))
+        _by_material(placed(BUILDINGS[kind][0](rng), xyz=xyz, heading_rad=turn))
         for kind, xyz, turn in zip(kinds, np.column_stack([xy, z]), heading, strict=True)
     ]
+
+
+def _by_material(model: Model) -> Model:
+    groups = [[p for p in model if p.material == m and len(p.faces)] for m in ("matte", "glass")]
+    return [merged(parts) for parts in groups if parts]
 
 
 def _house(rng: np.random.Generator) -> Model:
@@ -338,7 +343,7 @@ def _gable(size: Array, pitch: float, color: Array) -> Part:
 
 
 def _windows(size: Array, floor_m: float, bay_m: float, rng: np.random.Generator) -> Model:
-    """A dark quad for every window of a block of ``size``: none, where a side is too narrow."""
+    """A pane for every window of a block of ``size``: none, where a side is too narrow."""
     share = rng.uniform([0.45, 0.4], [0.85, 0.65])
     glass = np.array([0.05, 0.06, 0.075]) * rng.uniform(0.6, 1.6)
     sides = []
@@ -353,7 +358,7 @@ def _windows(size: Array, floor_m: float, bay_m: float, rng: np.random.Generator
         corners[..., 2] = v + share[1] * floor_m / 2 * np.array([-1, -1, 1, 1])
         color = glass * rng.choice([0.6, 1.0, 3.5], (len(u), 1), p=[0.3, 0.6, 0.1])
         faces = quads_to_triangles(np.arange(4 * len(u)).reshape(-1, 4))
-        sides.append(part(corners, faces, "matte", BUILDING, color=color.repeat(4, axis=0)))
+        sides.append(part(corners, faces, "glass", BUILDING, color=color.repeat(4, axis=0)))
     return sides
 
 

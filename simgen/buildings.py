@@ -1,8 +1,9 @@
 """Buildings: from a massing (footprint, heights, roof form, kind) to a detailed model.
 
-Levels of detail: 0 has real openings and everything that sticks out (up to 40 m away), 1 has flat
-windows, doors, roofs and chimneys (40 to 120 m), 2 is walls, dark panes and a roof. All three
-draw the same style and the same openings from the same generator state.
+Levels of detail: 0 has real openings and everything that sticks out (up to 45 m away), 1 has flat
+windows, doors, roofs and chimneys (45 to 130 m), 2 is walls, dark panes and a roof; the distances
+are those for a 90° lens (see :meth:`simgen.layout.Layout.lod`). All three draw the same style and
+the same openings from the same generator state.
 
 massing.py says what goes in, facades.py lays out the walls, fittings.py and shopfronts.py fill
 them, roofs.py is the geometry of roofs and roofing.py builds them.

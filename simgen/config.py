@@ -29,6 +29,8 @@ from simgen.rig import Rig
 
 MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
 MAX_PAIRS = 10_000_000
+MAX_FRAMES_PER_SCENE = 21
+"""A drive of 60 m; all that is near to it has full detail, and is part of each of its frames."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ class RenderOptions:
     split: Literal["all", "train", "test"] = "all"
     """render one side only; a scene is a test scene if its number is divisible by 10"""
     frames_per_scene: int = 1
-    """frames of one drive, 3 m apart, through the same scene, in which the others stand still"""
+    """frames of one drive, 3 m apart, through the same scene, in which the others stand still;
+    at most 21"""
     frames_per_shard: int = 16
     """rig frames per HDF5 file"""
     workers: int = 1
@@ -201,6 +204,11 @@ def _check_numbers(options: RenderOptions) -> None:
         if getattr(options, name) < 1:
             flag = "--" + name.replace("_", "-")
             raise UserError(f"{flag} {getattr(options, name)}: expected a whole number from 1 on.")
+    if options.frames_per_scene > MAX_FRAMES_PER_SCENE:
+        raise UserError(
+            f"--frames-per-scene {options.frames_per_scene}: expected at most "
+            f"{MAX_FRAMES_PER_SCENE}; a longer drive would leave its scene."
+        )
     if options.n > MAX_PAIRS:
         raise UserError(f"--n {options.n}: expected at most {MAX_PAIRS} pairs.")
     if not 0 <= options.seed < 1 << 63:

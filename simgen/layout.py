@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from simgen.crossings import Crossing
 from simgen.geometry import Array
@@ -26,6 +27,8 @@ BEHIND_M = -30.0
 """What stands further behind the rig is left out: neither seen nor casting a shadow in view."""
 AHEAD_M = 430.0
 BESIDE_M = 260.0
+BROADEST_M = 8.0
+"""Something whose middle is that far outside the images may yet reach into them."""
 
 _NAMES = {label: name for name, label in LABELS.items()}
 
@@ -77,12 +80,13 @@ class Layout:
         crossing: Crossing | None = None,
     ) -> None:
         """``way`` (N, 2) is where the rig stands in the frames of the scene; what is near or in
-        view counts from the first of them, so that all frames show the same scene. ``zoom`` is the
-        focal length over that of a 90° lens: detail counts in pixels.
+        view counts from the nearest of them, so that all frames show the same scene. ``zoom`` is
+        the focal length over that of a 90° lens: detail counts in pixels.
 
         ``crossing`` is the bridge over the road ahead.
         """
         self.site, self.spec, self.way, self.rig_xy = site, spec, way, way[0]
+        self._ahead = _directions(way)
         self.lanes = site.network.lanes
         self.sign_rects = sign_rects
         self.zoom = zoom
@@ -92,16 +96,36 @@ class Layout:
         """of the scene's vehicles, by family, number and whether ridden: built when first met"""
         self.far_trees: dict[tuple[str, int], Model] = {}
         """by species and number, likewise"""
+        self.near_trees = 0
+        """how many have all their leaves"""
         self.crossing = crossing
 
+    def distance(self, xy: ArrayLike) -> Array:
+        """From points (N, 2) to the rig where it comes nearest to them [m]."""
+        points = np.asarray(xy, dtype=np.float64).reshape(-1, 1, 2)
+        return np.asarray(np.linalg.norm(points - self.way, axis=2).min(axis=1))
+
     def lod(self, xy: Array, near: float = 32.0, far: float = 95.0) -> Literal[0, 1, 2]:
-        """Level of detail: 0 near the rig, 2 far away."""
-        distance = float(np.linalg.norm(np.asarray(xy)[:2] - self.rig_xy)) / self.zoom
+        """Level of detail: 0 near the rig, 2 far away, both for a 90° lens.
+
+        A long lens magnifies what its images show, and leaves the rest as it is.
+        """
+        offset = np.asarray(xy)[:2] - self.way
+        along, aside = np.einsum("kni,ni->kn", self._ahead, offset)
+        reach = np.maximum(along, 0) / self.zoom + BROADEST_M
+        shown = (along > -BROADEST_M) & (np.abs(aside) < reach)
+        magnified = np.where(shown, self.zoom, min(self.zoom, 1.0))
+        distance = float((np.linalg.norm(offset, axis=1) / magnified).min())
         return 0 if distance <= near else 1 if distance <= far else 2
 
     def in_view(self, xy: Array) -> bool:
         """Whether something at ``xy`` can matter for an image."""
-        return bool(BEHIND_M < xy[0] - self.rig_xy[0] < AHEAD_M and abs(xy[1]) < BESIDE_M)
+        low, high = self.around((BEHIND_M, -BESIDE_M), (AHEAD_M, BESIDE_M))
+        return bool((low < xy[:2]).all() and (xy[:2] < high).all())
+
+    def around(self, low: ArrayLike, high: ArrayLike) -> tuple[Array, Array]:
+        """Corners (2,) of the rectangle that reaches from ``low`` to ``high`` about the rig."""
+        return self.way.min(axis=0) + low, self.way.max(axis=0) + high
 
     def open_above(self, xy: Array, margin: float = 3.0) -> bool:
         """Whether something tall can stand at ``xy``: no bridge over it or close by."""
@@ -144,6 +168,13 @@ class Layout:
         ahead = self.way[-1] + [[2.0, 0.0], [5.0, 0.0]]
         spots = np.concatenate([[(x - 4.0, y), (x - 1.0, y)], self.way, ahead])
         self.site.claim(np.column_stack([spots, np.full(len(spots), 2.2)]))
+
+
+def _directions(way: Array) -> Array:
+    """Unit vectors (2, N, 2) ahead and to the left of the rig at each point of its way."""
+    ahead = np.gradient(way, axis=0) if len(way) > 1 else np.array([[1.0, 0.0]])
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    return np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)])
 
 
 def edges(layout: Layout) -> Iterator[tuple[Lane, Array]]:

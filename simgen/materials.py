@@ -23,7 +23,7 @@ class Material:
 
 
 FAR_SHEET_M = 60.0
-"""A part no nearer than this takes the filtered copy of its sheet [m]."""
+"""A part that the rig comes no nearer than this takes the filtered copy of its sheet [m]."""
 FAR_SHEET_FACTOR = 4
 
 MATERIALS: dict[str, Material] = {

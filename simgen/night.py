@@ -76,7 +76,7 @@ def _of_windows(p: Part, rng: np.random.Generator) -> NDArray[np.float32]:
 
 
 def lamps(layout: Layout, T_world_vehicle: Array) -> list[Lamp]:
-    """The rig's own headlights, and street lamps, the nearest first."""
+    """The rig's own headlights, and street lamps, those nearest to where it stands first."""
     T = T_world_vehicle
     own = [
         Lamp(T[:3, :3] @ np.array([0.4, y, 0.7]) + T[:3, 3],
@@ -86,6 +86,6 @@ def lamps(layout: Layout, T_world_vehicle: Array) -> list[Lamp]:
     if not layout.lights:
         return own
     heads = np.concatenate(layout.lights)
-    nearest = heads[np.argsort(np.linalg.norm(heads[:, :2] - layout.rig_xy, axis=1))]
+    nearest = heads[np.argsort(np.linalg.norm(heads[:, :2] - T[:2, 3], axis=1))]
     down, color = np.array([0.0, 0.0, -1.0]), np.array(NEUTRAL) * _STREET_LAMP_KCD
     return own + [Lamp(xyz - [0, 0, 0.05], down, color, 75.0, 55.0) for xyz in nearest]

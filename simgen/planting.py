@@ -20,16 +20,57 @@ def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, fl
     species = names[rng.choice(len(names), p=weights / weights.sum())]
     low, high = vegetation.SPECIES[species].height_m
     height = low + (high - low) * float(rng.uniform(*share_of_height))
-    if not layout.in_view(xy) or not layout.site.claim([(*xy[:2], 0.9)]):
+    if not layout.in_view(xy):
+        return []
+    height, clear_m = _fitted(layout, species, height, xy)
+    if height < MIN_SHARE * low or not layout.site.claim([(*xy[:2], 0.9)]):
         return []
     lod = layout.lod(xy)
-    if lod < FAR:
-        model = vegetation.tree(species, height_m=height, lod=lod, rng=rng)
+    if lod == 0:
+        layout.near_trees += 1
+        lod = 0 if layout.near_trees <= MAX_NEAR_TREES else 1
+    if lod < FAR or clear_m:
+        model = vegetation.tree(species, height_m=height, lod=lod, rng=rng, clear_m=clear_m)
     else:
         model = _far_tree(layout, species, height, rng)
-    return sunk(layout.stand(model, xy, float(rng.uniform(0, 2 * np.pi))), 0.08)
+    return sunk(layout.stand(model, xy, float(rng.uniform(0, 2 * np.pi))), SUNK_M)
 
 
+SUNK_M = 0.08
+CROWN_GAP_M = 0.3
+"""between a crown and a house, or a lane that it does not bridge"""
+HEADROOM_M = 4.5
+"""under a crown over a lane"""
+MIN_SHARE = 0.6
+"""of the usual height of its species: a lower tree is not planted"""
+
+
+def _fitted(layout: Layout, species: str, height_m: float, xy: Array) -> tuple[float, float]:
+    """The height [m] that a tree at ``xy`` may have, and how far up it must have no limbs.
+
+    Its crown stays clear of houses, and of lanes unless there is headroom below it.
+    """
+    per_m = vegetation.crown_radius_m(species, 1.0)
+    from_house, from_lane = layout.site.room(xy) - CROWN_GAP_M
+    height = min(height_m, from_house / per_m)
+    if height * per_m <= from_lane:
+        return height, 0.0
+    clear_m = HEADROOM_M + SUNK_M + _rise(layout, xy, height * per_m)
+    if height >= vegetation.lowest_limbed_m(clear_m):
+        return height, clear_m
+    return from_lane / per_m, 0.0
+
+
+def _rise(layout: Layout, xy: Array, radius_m: float) -> float:
+    """How much higher than at ``xy`` the ground may be within a crown's radius [m]."""
+    azimuth = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    rim = xy[:2] + radius_m * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    z = layout.site.height(np.concatenate([[xy[:2]], rim]))
+    return float(np.nanmax(z) - z[0])
+
+
+MAX_NEAR_TREES = 40
+"""with all their leaves; what else is near in a dense wood has fewer"""
 FAR = 2
 """level of detail from which on trees need not be individuals"""
 FAR_DESIGNS = 8
@@ -68,11 +109,12 @@ def street_trees(layout: Layout) -> Placed:
 def trees(layout: Layout) -> Placed:
     """Trees and shrubs on open land, in clumps."""
     rng = layout.spec.stream("trees")
-    width, depth = 2 * 130.0, 330.0
-    num = min(MAX_TREES, int(rng.poisson(layout.spec.trees_per_hectare * width * depth / 1e4)))
-    centres = rng.uniform([-20, -130], [310, 130], (max(1, num // 6), 2))
+    low, high = layout.around((-20.0, -130.0), (310.0, 130.0))
+    hectares = float(np.prod(high - low)) / 1e4
+    most = int(MAX_TREES_PER_HECTARE * hectares)
+    num = min(most, int(rng.poisson(layout.spec.trees_per_hectare * hectares)))
+    centres = rng.uniform(low, high, (max(1, num // 6), 2))
     xy = centres[rng.integers(len(centres), size=num)] + rng.normal(0, 9.0, (num, 2))
-    xy += layout.rig_xy
     keep = layout.site.clear_of(xy, road=5.0, pavement=1.5, buildings=3.0)
     for point in xy[keep]:
         if rng.random() < 0.25:
@@ -81,7 +123,7 @@ def trees(layout: Layout) -> Placed:
             yield _tree(layout, point, rng, layout.spec.species)
 
 
-MAX_TREES = 420
+MAX_TREES_PER_HECTARE = 49.0
 
 
 def _shrub(layout: Layout, xy: Array, rng: np.random.Generator) -> Model:
@@ -94,14 +136,19 @@ def _shrub(layout: Layout, xy: Array, rng: np.random.Generator) -> Model:
 def grass(layout: Layout) -> Placed:
     """Tufts on the verges near the rig."""
     rng = layout.spec.stream("grass")
-    near = rng.uniform([1.0, -26.0], [34.0, 26.0], (9000, 2))
-    far = rng.uniform([34.0, -45.0], [80.0, 45.0], (5000, 2))
-    xy = np.concatenate([near, far]) + layout.rig_xy
+    near = _scattered(5.2, layout.around((1.0, -26.0), (34.0, 26.0)), rng)
+    far = _scattered(1.2, layout.around((34.0, -45.0), (80.0, 45.0)), rng)
+    xy = np.concatenate([near, far])
     bare = np.sin(xy[:, 0] * 0.9) * np.sin(xy[:, 1] * 1.1) + rng.normal(0, 0.5, len(xy)) < -0.1
     xy = xy[~bare & layout.site.clear_of(xy, road=0.25, pavement=0.15, buildings=0.3)]
     z = layout.site.height(xy)
     known = ~np.isnan(z)
     yield [vegetation.grass_tufts(xy[known], z[known] - 0.02, rng=rng)]
+
+
+def _scattered(per_m2: float, box: tuple[Array, Array], rng: np.random.Generator) -> Array:
+    """Points (N, 2) in a rectangle."""
+    return rng.uniform(*box, (int(per_m2 * np.prod(box[1] - box[0])), 2))
 
 
 VERGE_AHEAD_M = 90.0
@@ -114,7 +161,7 @@ def verges(layout: Layout) -> Placed:
         if lane.kind == "sidewalk":
             continue
         grown = resampled(offset_line(line, -2.2), 0.3)
-        grown = grown[np.linalg.norm(grown[:, :2] - layout.rig_xy, axis=1) < VERGE_AHEAD_M]
+        grown = grown[layout.distance(grown[:, :2]) < VERGE_AHEAD_M]
         xy = grown[:, :2].repeat(4, axis=0) + rng.normal(0, 0.7, (4 * len(grown), 2))
         drifts = np.sin(0.23 * xy[:, 0] + 0.5 * np.sin(0.31 * xy[:, 1])) > rng.normal(
             0, 0.4, len(xy)
@@ -125,7 +172,7 @@ def verges(layout: Layout) -> Placed:
         if known.any():
             yield [vegetation.grass_tufts(xy[known], z[known] - 0.02, rng=rng, tall=True)]
         for point, _ in along(layout, line, 9.0, rng, -float(rng.uniform(3.2, 5.0))):
-            near = np.linalg.norm(point[:2] - layout.rig_xy) < 160.0
+            near = layout.distance(point[:2])[0] < 160.0
             clear = layout.site.clear_of(point[:2], road=2.0, pavement=1.0, buildings=1.5)[0]
             if near and clear and rng.random() < 0.35:
                 yield _shrub(layout, point, rng)

@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from simgen.materials import FAR_SHEET_FACTOR, FAR_SHEET_M, MATERIALS, Material
 from simgen.mesh import Part, blocks, flat
@@ -66,6 +67,8 @@ class World:
     """none by day; at night in order of importance"""
     movers: list[dict[str, Any]] = field(default_factory=list)
     """what can move, see layout.Mover.record"""
+    way: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 2)))
+    """(N, 2) where the rig stands in the frames of the scene"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +164,7 @@ def _slots(world: World) -> list[_Slot]:
         if material.color_by == "ground":
             slots += [_ground_slot(i, ring, material) for i, ring in enumerate(world.ground)]
         elif material.color_by == "metres":
-            slots += _near_and_far(name, parts, world.sheets[name], material)
+            slots += _near_and_far(name, parts, world.sheets[name], material, world.way)
         else:
             texture = _texture(world.sign_atlas) if material.color_by == "atlas" else _VERTEX_COLOR
             slots.append(_Slot(name, parts, _bsdf(material, texture), material))
@@ -197,10 +200,11 @@ def _wet(texture: dict[str, Any], gloss: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near_and_far(
-    name: str, parts: Sequence[Part], sheet: Sheet, material: Material
+    name: str, parts: Sequence[Part], sheet: Sheet, material: Material, way: NDArray[np.float64]
 ) -> list[_Slot]:
-    """Splits by distance from the rig (the origin) and filters the far sheet."""
-    distance = [np.linalg.norm(p.vertices[:, :2], axis=1).min() for p in parts]
+    """Splits by distance from the rig where it comes nearest, and filters the far sheet."""
+    rig = cKDTree(way)
+    distance = [rig.query(p.vertices[:, :2])[0].min() for p in parts]
     near = [p for p, d in zip(parts, distance, strict=True) if d < FAR_SHEET_M]
     far = [p for p, d in zip(parts, distance, strict=True) if d >= FAR_SHEET_M]
     far_sheet = filtered(sheet, FAR_SHEET_FACTOR)

@@ -61,6 +61,12 @@ class Site:
                 keep &= ~shapely.dwithin(area, points, distance)
         return keep
 
+    def room(self, xy: ArrayLike) -> Array:
+        """Distances (2,) [m] from a point to the nearest house and to the nearest asphalt."""
+        point = shapely.Point(np.asarray(xy, dtype=np.float64)[:2])
+        areas = np.array([self.built, self.asphalt])
+        return np.where(shapely.is_empty(areas), np.inf, shapely.distance(areas, point))
+
     def claim(self, discs: ArrayLike) -> bool:
         """Takes the discs (M, 3) as (x, y, radius) if none of them touches a taken one."""
         mine = [tuple(map(float, d)) for d in np.asarray(discs, dtype=np.float64).reshape(-1, 3)]

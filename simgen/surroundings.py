@@ -25,9 +25,7 @@ def houses(layout: Layout) -> Placed:
         for mass in masses:
             middle = mass.footprint.mean(axis=0)
             if layout.in_view(middle):
-                nearest = mass.footprint[
-                    np.argmin(np.linalg.norm(mass.footprint - layout.rig_xy, axis=1))
-                ]
+                nearest = mass.footprint[np.argmin(layout.distance(mass.footprint))]
                 model += buildings.build(mass, rng=rng, lod=layout.lod(nearest, 45.0, 130.0),
                                          walls=[str(w) for w in walls[:2]],
                                          shop_names=shop_names)  # fmt: skip
@@ -51,4 +49,4 @@ def horizon(layout: Layout) -> Placed:
     blocks = background.skyline(rng=rng, num=layout.spec.skyline, near_m=FAR_INNER_M + 40.0,
                                 far_m=2200.0, ground_height=land.height)  # fmt: skip
     for block in blocks:
-        yield placed([block], xyz=[*FAR_CENTRE, 0.0])
+        yield placed(block, xyz=[*FAR_CENTRE, 0.0])

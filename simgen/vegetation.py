@@ -4,14 +4,15 @@ A tree is grown from the outside in. Branch ends are drawn on the envelope of th
 lead to them from the trunk, *clumps* (ellipsoids) sit along the branches, and leaf triangles, each
 standing for a small spray of leaves, cover the clumps. What gaps there are show the sky.
 
-Levels of detail: 0 is seen from 6 to 30 m, 1 from 30 to 90 m, 2 from further. With equal
+Levels of detail: 0 is seen from 6 to 32 m, 1 from 32 to 95 m, 2 from further, each times the
+magnification of the lens against one of 90° (see :meth:`simgen.layout.Layout.lod`). With equal
 generators all levels share branches and clumps; fewer leaves are larger ones, so that silhouette
 and density stay.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,9 @@ HEDGE_TRIANGLES_PER_M2 = (260, 70, 14)
 UP = np.array([0.0, 0.0, 1.0])
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 LEAF_WIDTH = 0.5  # of a leaf's length
+LOPSIDED = 1.38  # at most the reach of leaves over the crown's radius
+HANG = 0.11  # at most the depth of leaves below the crown's base, as a share of the height
+MAX_CROWN_BASE = 0.7  # what is left of a tree above its lowest limbs is a crown yet
 DARK = np.array([0.022, 0.04, 0.012])  # between the leaves of a hedge
 
 
@@ -104,7 +108,7 @@ SPECIES: dict[str, Species] = {
         droop=-0.4, leaf=(0.060, 0.110, 0.042),
     ),
     "street": Species(
-        height_m=(4.5, 7.5), crown_base=0.42, crown_radius=0.21,
+        height_m=(8.0, 12.0), crown_base=0.42, crown_radius=0.18,
         profile=(0.5, 0.95, 1.0, 0.85, 0.45), leader=0.85, trunk_radius=0.009,
         num_branches=18, clumps_per_branch=3, rise=1.2, clump=(0.36, 0.30, 0.27), cover=0.65,
         droop=0.3, leaf=(0.092, 0.165, 0.038),
@@ -128,17 +132,40 @@ class Clumps:
         return np.pi * np.cbrt(a * b * c) ** 2
 
 
-def tree(species: str, *, height_m: float, lod: int, rng: np.random.Generator) -> Model:
-    """A tree of ``height_m``: its wood, then its leaves; at most ``TREE_TRIANGLES[lod]``."""
+def tree(
+    species: str,
+    *,
+    height_m: float,
+    lod: int,
+    rng: np.random.Generator,
+    clear_m: float = 0.0,
+) -> Model:
+    """A tree of ``height_m``: its wood, then its leaves; at most ``TREE_TRIANGLES[lod]``.
+
+    Where something is to pass below it, its limbs are cut off up to ``clear_m``.
+    """
     if species not in SPECIES:
         raise ValueError(f"tree: unknown species {species!r}; choose from {', '.join(SPECIES)}")
     kind = SPECIES[species]
+    if clear_m > 0:
+        base = max(kind.crown_base, clear_m / height_m + HANG)
+        kind = replace(kind, crown_base=base)
     trunk = _trunk_path(kind, height_m, rng)
     branches = _branch_paths(kind, height_m, trunk, rng)
     clumps, twigs = _clumps_on(branches, kind, height_m, rng)
     wood = _wood(kind, height_m, trunk, branches, twigs, lod)
     num_leaves = TREE_TRIANGLES[lod] - sum(len(p.faces) for p in wood)
     return [*wood, _leaves(clumps, num_leaves, kind.cover, kind.droop, kind.leaf, rng)]
+
+
+def crown_radius_m(species: str, height_m: float) -> float:
+    """How far the leaves of a tree may reach from its foot [m]."""
+    return LOPSIDED * SPECIES[species].crown_radius * height_m
+
+
+def lowest_limbed_m(clear_m: float) -> float:
+    """Height [m] of the lowest tree whose limbs may be cut off up to ``clear_m``."""
+    return clear_m / (MAX_CROWN_BASE - HANG)
 
 
 def shrub(*, rng: np.random.Generator, lod: int) -> Model:

@@ -1,9 +1,12 @@
-"""Water on the ground: where it lies, how much darker it makes the ground, and how smooth.
+"""Water out of doors: where it lies, how much darker it makes things, and how smooth the ground.
 
 One number tells how wet a scene is: 0 is dry, at 1 a film of water covers everything. As water
 grows, low places become damp first, then all of them; from FILM_FROM on paved ground shines and
 puddles rise in hollows, in wheel tracks and along kerbs. Where water dries away, traffic dries the
 wheel tracks first.
+
+What is not on a map of the ground is evenly wet: land further away as much as the ground on
+average, what stands upright less.
 
 All images are float32 (H, W) on the raster of one map, unless said otherwise.
 """
@@ -15,6 +18,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erfinv
+
+from simgen.color import linear_from_srgb, srgb_from_linear
 
 Image = NDArray[Any]
 """float32"""
@@ -73,12 +79,38 @@ def darkening(albedo: Image, water: Water) -> Image:
     Source: Lekner and Dorf, "Why some things are darker when wet", Applied Optics 27 (1988),
     pp. 1278-1280; without the weaker reflection of grains that lie in water.
     """
-    wet = np.float32((1 - _R) * (1 - _P)) / (1 - np.float32(_P) * albedo)
+    wet = _under_film(albedo)
     wet *= 1 - np.float32(0.25) * water.puddle[..., None]
     factor: Image = 1 + water.damp[..., None] * (wet - 1)
     return factor
 
 
+def _under_film(albedo: Image) -> Image:
+    """What a film of water multiplies albedos by."""
+    factor: Image = np.float32((1 - _R) * (1 - _P)) / (1 - np.float32(_P) * albedo)
+    return factor
+
+
+def darkened(albedo: Image, wetness: float, exposure: float = 1.0) -> Image:
+    """Albedos (…, 3) out of doors, off the maps; ``exposure`` is 1 where ground is open to rain."""
+    damp = settle(_UNEVEN, np.zeros_like(_UNEVEN), np.zeros_like(_UNEVEN), wetness=wetness).damp
+    wet: Image = albedo * (1 + np.float32(exposure * damp.mean()) * (_under_film(albedo) - 1))
+    return wet
+
+
+def wet_bytes(image: NDArray[np.uint8], wetness: float, exposure: float) -> NDArray[np.uint8]:
+    """An sRGB image :func:`darkened`."""
+    if wetness == 0:
+        return image
+    linear = linear_from_srgb(np.arange(256, dtype=np.float32) / 255)
+    encoded = np.rint(255 * srgb_from_linear(darkened(linear, wetness, exposure)))
+    return np.take(encoded.astype(np.uint8), image)
+
+
+UPRIGHT = 0.5
+"""exposure of walls, trunks and foliage: rain wets them partly"""
+_UNEVEN = np.float32(0.57) * np.sqrt(np.float32(2)) * erfinv(np.linspace(-0.98, 0.98, 50))
+"""(50,) evenly likely hollows, spread as those of the maps are"""
 _N_WATER = 1.333
 _R = 0.066
 """reflectance of water for diffuse light from above"""

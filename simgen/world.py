@@ -26,6 +26,7 @@ from simgen import (
     surroundings,
     traffic,
     trolley,
+    wetness,
     works,
 )
 from simgen.alignment import followed
@@ -101,7 +102,9 @@ def build(spec: SceneSpec, drive: Drive, optics: ground.Optics) -> World:
         parts, movers = _place(layout)
         surfaces = _sheets(spec, {p.material for p in parts}, optics.focal_px, pool)
         lamps = night.lamps(layout, drive.T_world_vehicle) if daylight.is_night(spec.sky) else []
-        return World(parts, maps.result(), surfaces, atlas.image, sky.result(), lamps, movers)
+        return World(
+            parts, maps.result(), surfaces, atlas.image, sky.result(), lamps, movers, layout.way
+        )
 
 
 _STEPS: tuple[Callable[[Layout], Placed], ...] = (
@@ -129,19 +132,28 @@ def _place(layout: Layout) -> tuple[list[Part], list[dict[str, Any]]]:
             if dark and step not in (traffic.parked, passers_by.bicycles):
                 model = night.glowing(model, rng=rng)
             instance = next(ids) if any(p.semantic not in _STUFF for p in model) else 0
-            parts += [replace(p, instance=instance) for p in model]
+            parts += [replace(_rained_on(p, layout.spec), instance=instance) for p in model]
             if isinstance(thing, Mover):
                 movers.append(thing.record(instance))
     return parts, movers
 
 
-WALL_KINDS = ("brick", "plaster", "concrete", "stone")
-_WALL_COLORS = {
+def _rained_on(p: Part, spec: SceneSpec) -> Part:
+    """The part as dark as the scene's wetness makes it, if water soaks into it."""
+    if spec.sky.wetness == 0 or p.color is None or p.material not in ("matte", "leaf"):
+        return p
+    exposure = 1.0 if p.semantic == LABELS["terrain"] else wetness.UPRIGHT
+    return replace(p, color=wetness.darkened(p.color, spec.sky.wetness, exposure))
+
+
+WALL_COLORS = {
     "brick": ((0.26, 0.10, 0.07), (0.33, 0.17, 0.10), (0.20, 0.10, 0.08), (0.38, 0.27, 0.17)),
     "plaster": ((0.62, 0.58, 0.50), (0.60, 0.47, 0.28), (0.55, 0.37, 0.30), (0.45, 0.50, 0.48)),
     "concrete": ((0.32, 0.31, 0.29), (0.40, 0.38, 0.35)),
     "stone": ((0.38, 0.33, 0.26), (0.30, 0.29, 0.27)),
+    "timber": ((0.30, 0.19, 0.11), (0.27, 0.25, 0.22), (0.55, 0.53, 0.48), (0.30, 0.06, 0.04)),
 }
+"""Albedos of each kind of wall; timber is oiled, weathered, or painted white or red."""
 
 
 FINE_FROM_FOCAL_PX = 512.0
@@ -157,8 +169,8 @@ def _sheets(
     """
     size_px = 2048 if focal_px >= FINE_FROM_FOCAL_PX else 1024
     rng = spec.stream("walls")
-    kinds = ["brick", "plaster", *rng.choice(WALL_KINDS, 2)]
-    colors = [_WALL_COLORS[k][rng.integers(len(_WALL_COLORS[k]))] for k in kinds]
+    kinds = ["brick", "plaster", *rng.choice(list(WALL_COLORS), 2)]
+    colors = [WALL_COLORS[k][rng.integers(len(WALL_COLORS[k]))] for k in kinds]
 
     def draw(name: str) -> sheets.Sheet:
         rng = spec.stream(f"sheet {name}")
@@ -171,8 +183,11 @@ def _sheets(
         else:
             k = int(name.removeprefix("wall_"))
             paint = partial(sheets.wall_sheet, kinds[k], colors[k], rng=rng, size_px=size_px)
-        sheet: sheets.Sheet = paint() if name in materials else sheets.blank_like(paint)
-        return sheet
+        if name not in materials:
+            return sheets.blank_like(paint)
+        sheet: sheets.Sheet = paint()
+        exposure = 1.0 if name in ("roof", "turf") else wetness.UPRIGHT
+        return replace(sheet, image=wetness.wet_bytes(sheet.image, spec.sky.wetness, exposure))
 
     names = [name for name, material in MATERIALS.items() if material.color_by == "metres"]
     return dict(zip(names, pool.map(draw, names), strict=True))

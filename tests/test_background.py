@@ -14,6 +14,7 @@ from simgen.background import (
     terrain_ring,
     tree_line,
 )
+from simgen.night import LIT_SHARE, glowing
 
 INNER_M, OUTER_M = 250.0, 3000.0
 
@@ -110,22 +111,33 @@ def test_buildings_stand_on_the_ground_and_look_like_their_size(kind):
         assert 5 < z.max() < 170
 
 
-def test_skyline_is_one_part_per_building_between_near_and_far():
+def test_skyline_is_walls_and_panes_between_near_and_far():
     country = land()
-    model = skyline(
+    blocks = skyline(
         rng=np.random.default_rng(0),
         num=12,
         near_m=400.0,
         far_m=2000.0,
         ground_height=country.height,
     )
-    middle = np.array([p.vertices.mean(axis=0) for p in model])
+    middle = np.array([walls.vertices.mean(axis=0) for walls, *_ in blocks])
     distance = np.linalg.norm(middle[:, :2], axis=1)
-    foot = np.array([p.vertices[:, 2].min() for p in model])
-    assert len(model) == 12
+    foot = np.array([walls.vertices[:, 2].min() for walls, *_ in blocks])
+    assert len(blocks) == 12
     assert 350 < distance.min() < distance.max() < 2050
     assert (foot < country.height(middle[:, :2]) + 3).all()
-    assert {(p.semantic, p.material) for p in model} == {(11, "matte")}
+    assert {len(block) for block in blocks} <= {1, 2}
+    kinds = {(p.semantic, p.material) for block in blocks for p in block}
+    assert kinds == {(11, "matte"), (11, "glass")}
+
+
+def test_a_share_of_the_skylines_windows_is_lit_at_night():
+    rng = np.random.default_rng(0)
+    blocks = skyline(rng=rng, num=12, near_m=400.0, far_m=2000.0, ground_height=land().height)
+    panes = [p for block in blocks for p in glowing(block, rng=rng) if p.emission is not None]
+    lit = np.concatenate([p.emission.any(axis=1) for p in panes])
+    assert {p.material for p in panes} == {"glass"}
+    assert 0.5 * LIT_SHARE < lit.mean() < 1.5 * LIT_SHARE
 
 
 def test_gable_roof_is_a_closed_solid_of_the_right_volume():

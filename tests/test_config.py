@@ -155,6 +155,7 @@ def test_a_rig_is_read_from_a_file(tmp_path):
     ({"workers": 10**6}, r"--workers 1000000: this machine has \d+ cores"),
     ({"frames_per_shard": 0}, r"--frames-per-shard 0: expected a whole number from 1 on\."),
     ({"frames_per_scene": 0}, r"--frames-per-scene 0: expected a whole number from 1 on\."),
+    ({"frames_per_scene": 22}, r"--frames-per-scene 22: expected at most 21; a longer drive would"),
     ({"sensor": "film"}, r"--sensor film: expected one of ideal, camera"),
     ({"size": "640"}, r"--size '640': expected WIDTHxHEIGHT in pixels, like 2560x1440"),
     ({"size": "640x"}, r"--size '640x': expected WIDTHxHEIGHT"),

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from simgen import world
 from simgen.color import linear_from_srgb, luminance
 from simgen.sheets import (
     WALLS,
@@ -112,3 +113,7 @@ def test_bad_arguments_are_refused() -> None:
         wall_sheet("brick", COLOR, rng=rng, size_px=100)
     with pytest.raises(ValueError, match="factor 3 does not divide the sheet's 256 pixels"):
         filtered(drawn("plaster"), 3)
+
+
+def test_every_kind_of_wall_may_appear() -> None:
+    assert set(world.WALL_COLORS) == set(WALLS)

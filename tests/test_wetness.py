@@ -11,9 +11,19 @@ from small_scenes import camera, parallelogram, scene_of
 from test_ground import FAR, OPTICS, make_spec
 
 from simgen import ground, render, roads
+from simgen.color import linear_from_srgb
 from simgen.noise import fractal
 from simgen.site import Site
-from simgen.wetness import FILM_FROM, Water, darkening, roughness, settle
+from simgen.wetness import (
+    FILM_FROM,
+    UPRIGHT,
+    Water,
+    darkened,
+    darkening,
+    roughness,
+    settle,
+    wet_bytes,
+)
 
 HW = (64, 96)
 HOLLOWS = fractal((400, 600), wavelength=40.0, octaves=5, seed=7)
@@ -89,6 +99,32 @@ def test_wet_maps_are_darker_and_only_a_film_shines(maps):
         assert b.roughness is None
         assert c.roughness is not None
     assert any((b.image < a.image).any() for a, b in zip(dry, damp, strict=True))
+
+
+@pytest.mark.parametrize("wetness", [0.2, 0.4, 0.9])
+def test_land_beyond_the_maps_grows_as_dark_as_their_edge(maps, wetness):
+    """No step in brightness where the countryside begins: the rim of the last map tells."""
+
+    def rim(of):
+        linear = linear_from_srgb(maps(of)[-1].image / 255)
+        return np.concatenate([linear[:12], linear[-12:]]).mean(axis=(0, 1))
+
+    dry = rim(0.0)
+    np.testing.assert_allclose(darkened(dry, wetness), rim(wetness), rtol=0.08)
+
+
+def test_walls_lose_half_as_much_as_open_ground():
+    albedo = np.float32([0.4, 0.3, 0.2])
+    level, upright = (albedo - darkened(albedo, 0.9, e) for e in (1.0, UPRIGHT))
+    np.testing.assert_allclose(upright, level / 2, rtol=1e-5)
+    np.testing.assert_array_equal(darkened(albedo, 0.0), albedo)
+
+
+def test_wet_sheets_are_those_of_wet_albedos():
+    image = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    wet = linear_from_srgb(wet_bytes(image, 0.9, 1.0) / 255)
+    np.testing.assert_allclose(wet, darkened(linear_from_srgb(image / 255), 0.9), atol=0.005)
+    np.testing.assert_array_equal(wet_bytes(image, 0.0, 1.0), image)
 
 
 def test_dry_ground_knows_no_rain(maps):
