@@ -96,8 +96,8 @@ class Layout:
         """of the scene's vehicles, by family, number and whether ridden: built when first met"""
         self.far_trees: dict[tuple[str, int], Model] = {}
         """by species and number, likewise"""
-        self.near_trees = 0
-        """how many have all their leaves"""
+        self.tree_triangles = 0
+        """of trees that are individuals, so far"""
         self.crossing = crossing
 
     def distance(self, xy: ArrayLike) -> Array:

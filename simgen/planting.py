@@ -25,10 +25,11 @@ def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, fl
     height, clear_m = _fitted(layout, species, height, xy)
     if height < MIN_SHARE * low or not layout.site.claim([(*xy[:2], 0.9)]):
         return []
-    lod = layout.lod(xy)
-    if lod == 0:
-        layout.near_trees += 1
-        lod = 0 if layout.near_trees <= MAX_NEAR_TREES else 1
+    lod: int = layout.lod(xy)
+    if lod < FAR:
+        if layout.tree_triangles > MAX_TREE_TRIANGLES:
+            lod += 1
+        layout.tree_triangles += vegetation.TREE_TRIANGLES[lod]
     if lod < FAR or clear_m:
         model = vegetation.tree(species, height_m=height, lod=lod, rng=rng, clear_m=clear_m)
     else:
@@ -69,8 +70,8 @@ def _rise(layout: Layout, xy: Array, radius_m: float) -> float:
     return float(np.nanmax(z) - z[0])
 
 
-MAX_NEAR_TREES = 40
-"""with all their leaves; what else is near in a dense wood has fewer"""
+MAX_TREE_TRIANGLES = 500_000
+"""of trees that are individuals; in a dense wood all further ones are a level coarser"""
 FAR = 2
 """level of detail from which on trees need not be individuals"""
 FAR_DESIGNS = 8
