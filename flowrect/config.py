@@ -205,7 +205,7 @@ class TrainOptions(PoseOptions):
     (the paper's own way); or nowhere (the paper's "w/o OF")"""
     flow_weights: str = "raft"
     """of the teacher raft: a name or file of flowrect.train_flow, a file of torchvision's, or
-    "torchvision" to let it fetch its own"""
+    "torchvision" or "torchvision-large" to let it fetch its own"""
     teacher_device: str = ""
     """where the teacher runs, such as cuda:1; beside the network if not given"""
 

@@ -1,7 +1,7 @@
 """Dense optical flow by RAFT (Teed and Deng, ECCV 2020), with weights of this project.
 
 A point counts as matched if the flow back from where it went returns to it. The weights are those
-of ``flowrect.train_flow``, or torchvision's for ``raft_small`` (BSD-3-Clause).
+of ``flowrect.train_flow``, or torchvision's, of RAFT small or large (BSD-3-Clause).
 """
 
 from __future__ import annotations
