@@ -18,8 +18,9 @@ from simgen.mesh import blocks
 from simgen.skymap import COARSE, DOME_HW, Image, dome_directions, enlarged, texel
 
 BASE_KM = 1.2
-TOP_KM = 1.3
-"""height of the tallest clouds above the base"""
+TOP_KM = (0.9, 1.3)
+"""no cloud is higher above the base, if they are single ones and in a closed layer: the field of
+single ones is flattened towards it, or their peaks would be tents"""
 STEPS = 9
 SHARP_BELOW_DEG = 36.0
 """Higher up, where no camera of a rig looks, clouds are made on the coarse dome."""
@@ -87,7 +88,7 @@ def closed(cover: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Field:
-    """Heights of the clouds over the base: TOP_KM · share of (lumps + patches), where positive."""
+    """Heights of the clouds over the base: they grow with lumps + patches; below 0 is none."""
 
     lumps: Image
     """(N, N, 2): periodic tile, and its mean over the path that sunlight takes through a cloud"""
@@ -95,6 +96,7 @@ class _Field:
     """(M, M) where clouds gather, less the level below which there are none"""
     solid: float
     """1 for a closed layer"""
+    top_km: float
     start_km: Array
     """(2,) of the sheet, above the camera"""
     combed: tuple[float, float]
@@ -107,9 +109,10 @@ def _drawn_field(cover: float, towards_sun: Array, *, rng: np.random.Generator) 
     solid = closed(cover)
     mixed = lumps[::16, ::16] + cv2.resize(patches, (64, 64), interpolation=cv2.INTER_CUBIC)
     level = np.quantile(mixed, 1 - np.clip(cover, 0.0, 1.0)) - 1.2 * solid
-    both = np.dstack([lumps, _towards_sun(lumps, towards_sun)])
+    top_km = float(np.interp(solid, (0, 1), TOP_KM))
+    both = np.dstack([lumps, _towards_sun(lumps, towards_sun, top_km)])
     combed = float(rng.uniform(0, np.pi)), float(rng.uniform(-0.6, 0.5))
-    return _Field(both, patches - np.float32(level), solid, rng.uniform(0, 100, 2), combed)
+    return _Field(both, patches - np.float32(level), solid, top_km, rng.uniform(0, 100, 2), combed)
 
 
 def _lumps(rng: np.random.Generator) -> Image:
@@ -131,9 +134,9 @@ def _periodic(lattice: Image) -> Image:
     return tile
 
 
-def _towards_sun(lumps: Image, towards_sun: Array) -> Image:
+def _towards_sun(lumps: Image, towards_sun: Array, top_km: float) -> Image:
     slope = towards_sun[:2] / max(float(towards_sun[2]), 0.35)
-    offsets = np.arange(1, 5)[:, None] * 0.1 * TOP_KM * slope * (_TILE / _TILE_KM)
+    offsets = np.arange(1, 5)[:, None] * 0.1 * top_km * slope * (_TILE / _TILE_KM)
     moved = [np.roll(lumps, (-round(o[1]), -round(o[0])), axis=(0, 1)) for o in offsets]
     mean: Image = np.stack(moved).mean(axis=0)
     return mean
@@ -151,7 +154,7 @@ def _seen(field: _Field, d: Image, light: Light) -> tuple[Image, Image]:
     raised = _looked_up(
         field.patches, base / np.float32(_PATCH_KM * len(field.patches)), cv2.INTER_CUBIC
     )
-    through, sunlit, diffuse = _march(field.lumps, raised, base, per_km, reach)
+    through, sunlit, diffuse = _march(field, raised, base, per_km, reach)
     air = np.exp(-reach * np.float32(BASE_KM / _HAZE_KM))
     if field.solid:  # far away a closed layer is one grey
         diffuse += (1 - air) * np.float32(field.solid) * (diffuse.mean() - diffuse)
@@ -185,31 +188,36 @@ def _sampled(wrapped: Image, at: Image, how: int = cv2.INTER_LINEAR) -> Image:
 
 
 def _march(
-    lumps: Image, raised: Image, base: Image, per_km: Image, reach: Image
+    field: _Field, raised: Image, base: Image, per_km: Image, reach: Image
 ) -> tuple[Image, Image, Image]:
     """Through the layer: what gets through, and direct and diffuse light on what does not."""
     marched = np.empty((3, *raised.shape), np.float32)
-    wrapped = _wrapped(lumps)
+    wrapped = _wrapped(field.lumps)
     for rows in blocks(len(raised), 32):  # they stay in the cache
-        marched[:, rows] = _march_rows(wrapped, raised[rows], base[rows], per_km[rows], reach[rows])
+        seen = raised[rows], base[rows], per_km[rows], reach[rows]
+        marched[:, rows] = _march_rows(wrapped, field, *seen)
     through, sunlit, diffuse = (cv2.blur(x, (4, 4)) for x in marched)
     return through, sunlit, diffuse
 
 
 def _march_rows(
-    wrapped: Image, raised: Image, base: Image, per_km: Image, reach: Image
+    wrapped: Image, field: _Field, raised: Image, base: Image, per_km: Image, reach: Image
 ) -> tuple[Image, Image, Image]:
     """The same for some rows, the first of which is a multiple of 4, before it is smoothed."""
+    top_km = field.top_km
     through = np.ones_like(raised)
     sunlit, diffuse = np.zeros_like(raised), np.zeros_like(raised)
-    dense = np.minimum(np.float32(22.0 * TOP_KM / STEPS) * reach, 20.0)
+    dense = np.minimum(np.float32(22.0 * top_km / STEPS) * reach, 20.0)
     h, w = reach.shape
     first = np.tile(_FIRST, (-(-h // 4), -(-w // 4)))[:h, :w]
-    step = np.float32(TOP_KM / STEPS)
+    step = np.float32(top_km / STEPS)
+    flattened = np.float32((1 - field.solid) / top_km)
     for k in range(STEPS):
         z = (first + np.float32(k)) * step
         at = (base + per_km * z[..., None]) * np.float32(1 / _TILE_KM)
-        top = _SLOPE * (_sampled(wrapped, at) + raised[..., None]) - z[..., None]
+        height = _RISE_KM * (_sampled(wrapped, at) + raised[..., None])
+        height /= 1 + flattened * np.maximum(height, 0)
+        top = height - z[..., None]
         above = np.maximum(top[..., 1], 0)
         inside = np.clip(top[..., 0], 0, 0.35)
         taken = through * (1 - np.exp(-dense * inside))
@@ -224,8 +232,8 @@ _FIRST = np.array(
 ) / np.float32(16)  # fmt: skip
 """Where neighbouring rays take their first step (Bayer's matrix): the mean over any 4×4 of them,
 which is what is kept, sees 16 times as many levels."""
-_SLOPE = np.float32(0.24 * TOP_KM)
-"""km of height per unit of the field; with twice as much, small clouds are cones"""
+_RISE_KM = np.float32(0.312)
+"""of height per unit of the field; with twice as much, small clouds are cones"""
 
 
 def _radiance(light: Light, d: Image, sunlit: Image, diffuse: Image, solid: float) -> Image:
