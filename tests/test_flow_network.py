@@ -177,6 +177,7 @@ def flow_options(data: Path, out: Path, **changes: object) -> FlowOptions:
     return replace(options, **changes)
 
 
+@pytest.mark.slow  # RAFT takes half a minute; the loop is the one of test_train, which is not
 def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(data, tmp_path, monkeypatch):
     whole, parts = (flow_options(data, tmp_path / name, updates=1, max_steps=3) for name in "ab")
     train_flow.train_flow(whole)
