@@ -7,7 +7,6 @@ is not done again.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import multiprocessing
 import time
@@ -55,11 +54,7 @@ class Run:
 
     def path(self, method: str, translation: Translation) -> Path:
         """Where a method's predictions are."""
-        name = method
-        if "=" in method:  # a path, of any length
-            head, _, solver = method.partition("=")
-            name = f"{head}-{hashlib.sha256(solver.encode()).hexdigest()[:8]}"
-        return self.out / "predictions" / f"{name}.{translation}.h5"
+        return self.out / "predictions" / f"{predictions.file_name(method)}.{translation}.h5"
 
 
 @dataclass

@@ -6,6 +6,7 @@ solution, or took too long, and the text says which.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterable
@@ -46,6 +47,12 @@ class Origin:
     """fingerprint of the delivered pairs"""
     stamp: str
     """see evaluation/stamp.py"""
+
+
+def file_name(name: str) -> str:
+    """What files of a NAME or NAME=PATH are named by: a path has any length, and slashes."""
+    head, _, path = name.partition("=")
+    return f"{head}-{hashlib.sha256(path.encode()).hexdigest()[:8]}" if path else name
 
 
 def write(path: Path, rows: Iterable[Prediction], origin: Origin) -> None:
