@@ -183,9 +183,13 @@ def main_rows(
     translation: str,
     unavailable: Mapping[str, str],
     trained: Mapping[str, str],
+    figures: Sequence[str] = (),
 ) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: all methods of one translation; those that could not run say why."""
-    cells = columns(figure_names(scores))
+    """Head and rows: all methods of one translation; those that could not run say why.
+
+    ``figures`` have a column even if none of these scores has them.
+    """
+    cells = columns(figures or figure_names(scores))
     rows = [[m, trained.get(g[0].method, "–"), *(cell(g) for cell in cells.values())]
             for m, g in groups_of(scores, translation).items()]  # fmt: skip
     rows += [[m, f"no weights: {why}", *[""] * len(cells)] for m, why in unavailable.items()]
@@ -197,9 +201,10 @@ def main_table(
     translation: str,
     unavailable: Mapping[str, str],
     trained: Mapping[str, str],
+    figures: Sequence[str] = (),
 ) -> str:
     """``main_rows`` in Markdown."""
-    head, rows = main_rows(scores, translation, unavailable, trained)
+    head, rows = main_rows(scores, translation, unavailable, trained, figures)
     escaped = ([c.replace("|", "\\|") for c in line] for line in [head, *rows])
     return markdown(next(escaped), escaped)
 
@@ -281,6 +286,6 @@ def document(
             ]
         for by, name in HARD:
             if part := [s for s in scores if STRATA[by](s) == name]:
-                alone = main_table(part, translation, {}, trained)
+                alone = main_table(part, translation, {}, trained, figure_names(scores))
                 parts += [f"### {name} alone, {len(pairs_of(part))} pairs\n", alone]
     return "\n".join(parts)
