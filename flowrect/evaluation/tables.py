@@ -1,4 +1,4 @@
-"""Scores as files to work on and to read: CSV, and Markdown in the layout of Table 2."""
+"""Scores as files to work on and to read: CSV, and Markdown in the layout of Tables 2 and 3."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flowrect.evaluation import seconds
 from flowrect.evaluation.scores import Score
 from flowrect.metrics import Summary, summarise
 
@@ -70,7 +71,8 @@ def write_scores(path: Path, scores: Sequence[Score]) -> None:
     names = figure_names(scores)
     rows = []
     for score in scores:
-        flat = asdict(score)
+        whole = sum(score.seconds.values()) if score.seconds else np.nan
+        flat = asdict(score) | {"seconds": whole}
         rows.append([flat[c] for c in COLUMNS] + [score.figures.get(n, np.nan) for n in names])
     path.write_text(_csv([*COLUMNS, *names], rows), encoding="utf-8")
 
@@ -288,4 +290,5 @@ def document(
             if part := [s for s in scores if STRATA[by](s) == name]:
                 alone = main_table(part, translation, {}, trained, figure_names(scores))
                 parts += [f"### {name} alone, {len(pairs_of(part))} pairs\n", alone]
+    parts += ["## Seconds\n", f"{seconds.NOTE}\n", markdown(seconds.HEAD, seconds.rows(scores))]
     return "\n".join(parts)
