@@ -68,8 +68,9 @@ class DepthSamples:
     @staticmethod
     def joined(samples: Sequence[DepthSamples]) -> DepthSamples:
         """Those of several pairs."""
-        true, estimated = ([getattr(s, n) for s in samples] for n in ("true_m", "estimated_m"))
-        return DepthSamples(np.concatenate(true), np.concatenate(estimated))
+        none = np.empty(0)
+        return DepthSamples(np.concatenate([none, *(s.true_m for s in samples)]),
+                            np.concatenate([none, *(s.estimated_m for s in samples)]))  # fmt: skip
 
     def subset(self, index: NDArray[np.bool_]) -> DepthSamples:
         """The chosen pixels."""

@@ -7,8 +7,8 @@ are in the folder.
 
 OUT/predictions/METHOD.T.h5 holds the predictions, OUT/matches and OUT/offsets what was matched for
 them and after them, ``scores.csv`` the figures of every pair,
-``summary.csv`` their means, medians and intervals, ``tables.md`` the paper's Table 2 and the same
-by weather and daylight, ``report.html`` pictures of all of it.
+``summary.csv`` their means, medians and intervals, ``tables.md`` the paper's Table 2, the same by
+weather and daylight, and its Table 3 (seconds), ``report.html`` pictures of all of it.
 """
 
 from __future__ import annotations

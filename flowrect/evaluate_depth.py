@@ -2,9 +2,10 @@
 
 The paper's section 5.2: every pair is rectified by each method's pose, matched, and the depth of
 its left pixels compared with the truth. The poses are those that ``flowrect.evaluate`` has written
-to RESULTS; a pair for which a method failed is rectified by the prior, and counted. All
-rectifications of a pair share the K_new of its nominal rig, and the length of its nominal baseline,
-which images do not tell. Rectified images are 512×256, as in every report.
+to RESULTS; a pair for which a method failed is rectified by the prior, and counted; one that it has
+not predicted is in none of its figures. All rectifications of a pair share the K_new of its nominal
+rig, and the length of its nominal baseline, which images do not tell. Rectified images are 512×256,
+as in every report. Each stereo matcher and t have a table and a page, depth.STEREO.T.csv and .html.
 """
 
 from __future__ import annotations
@@ -20,18 +21,25 @@ from typing import Literal
 import numpy as np
 import torch
 import tyro
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from flowrect.depth import StereoMatcher, load_stereo
-from flowrect.depth.frame import depth_frame
-from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, matched
-from flowrect.drectify import rectify
+from flowrect.depth import STEREO, load_stereo
+from flowrect.depth.frame import DepthFrame, depth_frame
+from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, RangeError, matched
+from flowrect.drectify import Rectification, rectify
 from flowrect.evaluate import wh_of
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior
-from flowrect.evaluation.depth_report import Picture, Ranges, depth_rows, write_depth_report
-from flowrect.evaluation.predictions import Prediction, predictions_of
+from flowrect.evaluation.depth_report import (
+    Counts,
+    Picture,
+    Ranges,
+    depth_rows,
+    write_depth_report,
+)
+from flowrect.evaluation.predictions import Prediction, file_name, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.sample import Pair
 from simgen.errors import UserError
@@ -45,19 +53,17 @@ NUM_SHOWN = 3
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """Depth error by range, of one stereo matcher on the pairs that each method rectified."""
+    """Depth error by range, of stereo matchers on the pairs that each method rectified."""
 
     data: Path
     """a set of simgen, as it was given to flowrect.evaluate"""
     results: Path = Path("results")
-    """folder of flowrect.evaluate: all methods in it are taken, and depth.csv and depth.html
-    are written to it"""
+    """folder of flowrect.evaluate: all methods in it are taken, and tables and pages are written
+    to it"""
     translation: Translation = "nominal"
     """which of the predictions"""
-    stereo: str = "sgbm"
-    """the matcher: sgbm, hitnet, or onnx"""
-    stereo_weights: str = ""
-    """its file, where it needs one"""
+    stereo: tuple[str, ...] = ("sgbm",)
+    """the matchers: sgbm, hitnet, hitnet=FILE of flowrect.train_depth, onnx, onnx=FILE"""
     nearest_m: float = 2.0
     """nothing is nearer: it bounds the disparities that are looked for"""
     split: Literal["test", "train", "all"] = "test"
@@ -74,14 +80,36 @@ class DepthOptions:
 class Tally:
     """What a method's pairs gave."""
 
-    samples: list[DepthSamples] = field(default_factory=list)
-    pictures: list[Picture] = field(default_factory=list)
+    samples: dict[int, DepthSamples] = field(default_factory=dict)
+    """by pair, of those that it has predicted"""
+    pictures: dict[int, Picture] = field(default_factory=dict)
     """of some pairs"""
     failed: int = 0
     """pairs for which it found no pose, or one that does not rectify"""
 
+    @property
+    def counts(self) -> Counts:
+        """For the tables."""
+        return Counts(len(self.samples), self.failed)
 
-def evaluate(options: DepthOptions) -> dict[str, Tally]:
+
+def available(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """The stereo matchers that can run here, and why others cannot; UserError if none can."""
+    lacking = {}
+    for name in names:
+        kind, _, weights = name.partition("=")
+        try:
+            load_stereo(kind, largest_px=0, weights=weights)
+        except UserError as error:
+            if kind not in STEREO:
+                raise
+            lacking[name] = str(error)
+    if len(lacking) == len(names):
+        raise UserError(" ".join(lacking.values()))
+    return [name for name in names if name not in lacking], lacking
+
+
+def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
     """Depth samples of every pair, by method."""
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit)
     rows = {
@@ -100,50 +128,59 @@ def evaluate(options: DepthOptions) -> dict[str, Tally]:
     tallies = {name: Tally() for name in (UNRECTIFIED, *rows, TRUTH)}
     chosen = evenly(options.pairs, len(pairs))
     shown = {chosen[k] for k in evenly(NUM_SHOWN, len(chosen))}
-    for i in track(chosen, "pairs"):
+    for i in track(chosen, f"pairs, {stereo}"):
         pair = pairs[i].metric
-        found = _matched_by_all(tallies, pair, {m: r.get(i) for m, r in rows.items()}, options)
+        predicted = {method: of[i] for method, of in rows.items() if i in of}
+        found = _matched_by_all(tallies, pair, predicted, options, stereo)
         for name, rectified in found.items():
-            tallies[name].samples.append(rectified.samples(pair))
+            tallies[name].samples[i] = rectified.samples(pair)
             if i in shown:
-                tallies[name].pictures.append(Picture.of(rectified, pair.name, name))
+                tallies[name].pictures[i] = Picture.of(rectified, pair.name, name)
     return tallies
 
 
 def _matched_by_all(
     tallies: dict[str, Tally],
     pair: Pair,
-    rows: Mapping[str, Prediction | None],
+    predicted: Mapping[str, Prediction],
     options: DepthOptions,
+    stereo: str,
 ) -> dict[str, MatchedPair]:
     """The pair as each method rectifies it; failures are counted."""
     T, T_prior = pair.T_right_left, prior(pair, options.translation)
     assert T is not None, "as delivered"
-    left_over = matched_by(T_prior[:3, :3], T_prior[:3, 3], pair, options)
+
+    def match(rect: Rectification, frame: DepthFrame) -> MatchedPair:
+        return matched_by(rect, frame, pair, stereo, options.nearest_m)
+
+    left_over = match(*rectified_by(T_prior[:3, :3], T_prior[:3, 3], pair))
     found = {UNRECTIFIED: left_over}
-    for name, row in rows.items():
-        own = _by_prediction(row, T_prior, pair, options)
+    for name, row in predicted.items():
+        own = _by_prediction(row, T_prior, pair, options.translation)
         tallies[name].failed += own is None
-        found[name] = own or left_over
-    found[TRUTH] = matched_by(T[:3, :3], T[:3, 3], pair, options)
+        found[name] = match(*own) if own else left_over
+    found[TRUTH] = match(*rectified_by(T[:3, :3], T[:3, 3], pair))
     return found
 
 
 def _by_prediction(
-    row: Prediction | None, T_prior: Array, pair: Pair, options: DepthOptions
-) -> MatchedPair | None:
+    row: Prediction, T_prior: Array, pair: Pair, translation: Translation
+) -> tuple[Rectification, DepthFrame] | None:
     """None if there is no pose, or it makes no rig of the cameras."""
-    if row is None or row.estimate is None:
+    if row.estimate is None:
         return None
-    t = T_prior[:3, 3] if options.translation == "gt" else row.estimate.t
+    t = T_prior[:3, 3] if translation == "gt" else row.estimate.t
     try:
-        return matched_by(row.estimate.R, t, pair, options)
+        return rectified_by(row.estimate.R, t, pair)
     except UserError:  # the baseline of a wild pose is vertical, or reversed
         return None
 
 
-def matched_by(R: Array, t: Array, window: Pair, options: DepthOptions) -> MatchedPair:
-    """The pair, rectified by a pose and matched; only the direction of t counts."""
+def rectified_by(R: Array, t: Array, window: Pair) -> tuple[Rectification, DepthFrame]:
+    """How a pose rectifies the pair; only the direction of t counts.
+
+    UserError if the baseline is vertical, or reversed.
+    """
     nominal = window.T_right_left_nominal
     t = t * np.linalg.norm(nominal[:3, 3]) / np.linalg.norm(t)
     K_left, K_right, R_own, t_own, R_given, t_given = (
@@ -152,11 +189,16 @@ def matched_by(R: Array, t: Array, window: Pair, options: DepthOptions) -> Match
     )
     K_new = rectify(R_own, t_own, K_left, K_right, window.wh).K_new
     rect = rectify(R_given, t_given, K_left, K_right, window.wh, K_new=K_new)
-    frame = depth_frame(rect, t_given)
-    largest_px = frame.largest_disparity(options.nearest_m)
-    match: StereoMatcher = load_stereo(
-        options.stereo, largest_px=largest_px, weights=options.stereo_weights
-    )
+    return rect, depth_frame(rect, t_given)
+
+
+def matched_by(
+    rect: Rectification, frame: DepthFrame, window: Pair, stereo: str, nearest_m: float
+) -> MatchedPair:
+    """The rectified pair, matched by ``stereo``, a name or NAME=FILE."""
+    kind, _, weights = stereo.partition("=")
+    largest_px = frame.largest_disparity(nearest_m)
+    match = load_stereo(kind, largest_px=largest_px, weights=weights)
     return matched(window, rect, frame, match)
 
 
@@ -166,61 +208,77 @@ def matched_by(R: Array, t: Array, window: Pair, options: DepthOptions) -> Match
 def by_range(tallies: dict[str, Tally]) -> Ranges:
     """Errors of each method and range: of its own answers, and of pixels that all answered.
 
-    The first alone would favour whoever answers for the easy pixels only.
+    The first alone would favour whoever answers for the easy pixels only. All are those that have
+    predicted the pair.
     """
-    joined = {name: DepthSamples.joined(tally.samples) for name, tally in tallies.items()}
-    answered = np.all([np.isfinite(s.estimated_m) for s in joined.values()], axis=0)
-    return {
-        name: list(zip(s.by_range(), s.subset(answered).by_range(), strict=True))
-        for name, s in joined.items()
-    }
+    answered: dict[int, NDArray[np.bool_]] = {}
+    for tally in tallies.values():
+        for i, of_pair in tally.samples.items():
+            answered[i] = np.isfinite(of_pair.estimated_m) & answered.get(i, True)
+    return {name: _by_range(tally.samples, answered) for name, tally in tallies.items()}
 
 
-COLUMNS = ("method", "failed_pairs", "from_m", "to_m", "pixels", "coverage", "mae_m", "median_m",
-           "bias_m", "mae_common_m", "median_common_m")  # fmt: skip
+def _by_range(
+    samples: Mapping[int, DepthSamples], answered: Mapping[int, NDArray[np.bool_]]
+) -> list[tuple[RangeError, RangeError]]:
+    own = DepthSamples.joined(list(samples.values()))
+    common = DepthSamples.joined([s.subset(answered[i]) for i, s in samples.items()])
+    return list(zip(own.by_range(), common.by_range(), strict=True))
 
 
-def write_csv(path: Path, ranges: Ranges, failed: Mapping[str, int]) -> None:
+COLUMNS = ("method", "pairs", "failed_pairs", "from_m", "to_m", "pixels", "coverage", "mae_m",
+           "median_m", "bias_m", "mae_common_m", "median_common_m")  # fmt: skip
+
+
+def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
     """One line for each method and range."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         for name, rows in ranges.items():
             for own, common in rows:
-                writer.writerow([name, failed[name], own.from_m, own.to_m, own.pixels,
+                writer.writerow([name, *counts[name], own.from_m, own.to_m, own.pixels,
                                  own.coverage, own.mae_m, own.median_m, own.bias_m, common.mae_m,
                                  common.median_m])  # fmt: skip
 
 
-def table(ranges: Ranges, failed: Mapping[str, int], title: str) -> Table:
+def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
     """MAE and median [m] of pixels that all answered, and each method's own coverage, by range."""
     columns = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
     result = Table("", *columns, "mean MAE", title=title)
-    for row in depth_rows(ranges, failed):
+    for row in depth_rows(ranges, counts):
         result.add_row(*row)
     return result
+
+
+def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> None:
+    """Measures by one stereo matcher, and writes and shows it."""
+    tallies = evaluate(options, stereo)
+    ranges, counts = by_range(tallies), {name: tally.counts for name, tally in tallies.items()}
+    path = options.results / f"depth.{file_name(stereo)}.{options.translation}"
+    write_csv(path.with_name(path.name + ".csv"), ranges, counts)
+    title = f"{stereo}, {counts[TRUTH].pairs} pairs, t = {options.translation}"
+    pictures = [t.pictures[i] for i in tallies[TRUTH].pictures for t in tallies.values()
+                if i in t.pictures]  # fmt: skip
+    report = path.with_name(path.name + ".html")
+    write_depth_report(report, title, ranges, counts, pictures, lacking)
+    title += ": MAE / median in m of pixels that all answered; own answers"
+    Console(width=200).print(table(ranges, counts, title))
+    print(f"{report}: the same as curves, with pictures")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something."""
     options = tyro.cli(DepthOptions, args=arguments, prog="flowrect.evaluate_depth")
     try:
-        tallies = evaluate(options)
+        names, lacking = available(options.stereo)
+        for name in names:
+            _write(options, name, lacking)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    ranges = by_range(tallies)
-    failed = {name: tally.failed for name, tally in tallies.items()}
-    write_csv(options.results / "depth.csv", ranges, failed)
-    num = len(tallies[TRUTH].samples)
-    title = f"{options.stereo}, {num} pairs, t = {options.translation}"
-    pictures = [tally.pictures[k] for k in range(len(tallies[TRUTH].pictures))
-                for tally in tallies.values()]  # fmt: skip
-    report = options.results / "depth.html"
-    write_depth_report(report, title, ranges, failed, pictures)
-    title += ": MAE / median in m of pixels that all answered; own answers"
-    Console(width=200).print(table(ranges, failed, title))
-    print(f"{report}: the same as curves, with pictures")
+    for name, why in lacking.items():
+        print(f"{name}: no weights: {why}")
     return 0
 
 

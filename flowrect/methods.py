@@ -103,7 +103,7 @@ class Network:
             warnings.simplefilter("ignore")  # they are in the notes
             estimate = self.model.estimate(left, right, K_left, K_right, prior)
         if doubts := self.model.match_notes(estimate.match_probability):
-            raise NoSolution(doubts[0])
+            raise NoSolution(doubts[0], seconds=seconds)
         return PoseEstimate(estimate.R, estimate.t, seconds=seconds, notes=estimate.notes)
 
 
@@ -133,17 +133,25 @@ class FromMatches:
         match = load_matcher(self.matcher)
         with seconds.of("matching"):
             matches = match(left, right)
-        start = self.start(left, right, K_left, K_right, prior)
-        seconds.update(start.seconds)
-        return self.solved(matches, K_left, K_right, start, seconds)
+        return self.of_matches(matches, seconds, left, right, K_left, K_right, prior)
 
-    def solved(
+    def of_matches(
+        self, matches: Matches, seconds: Seconds, left: Image, right: Image, K_left: Array,
+        K_right: Array, prior: Array,
+    ) -> PoseEstimate:  # fmt: skip
+        """From matches that are there already; ``seconds`` is what they took."""
+        try:
+            start = self.start(left, right, K_left, K_right, prior)
+            seconds.update(start.seconds)
+            return self._solved(matches, K_left, K_right, start, seconds)
+        except NoSolution as error:
+            spent = {**seconds, **error.seconds}
+            raise NoSolution(str(error), num_matches=len(matches), seconds=spent) from error
+
+    def _solved(
         self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, seconds: Seconds
     ) -> PoseEstimate:
-        """From matches and a start that are there already; ``seconds`` is what they took.
-
-        Where matches do not suffice, what another method said stands, and is noted.
-        """
+        """Where matches do not suffice, what another method said stands, and is noted."""
         try:
             with seconds.of("solving"):
                 solution = self.solver(matches, K_left, K_right, transform(start.R, start.t))

@@ -19,7 +19,7 @@ from tiny_network import TINY_PAPER, network, road_set
 from flowrect import evaluate as command
 from flowrect.calibration import Calibration
 from flowrect.evaluate import EvaluateOptions, evaluate, main
-from flowrect.evaluation import predictions, stamp
+from flowrect.evaluation import predictions, report, seconds, stamp
 from flowrect.evaluation.delivered import Delivery, prior
 from flowrect.evaluation.offsets import Offset, Offsets
 from flowrect.evaluation.predict import FAULT, Run, _matches, predict
@@ -187,6 +187,9 @@ def test_shuffled_right_images_are_failures_and_not_plausible_numbers(wall, tmp_
             assert re.search(
                 r"only \d+ (of \d+ )?matches|leave the rotation|no common", row.failure
             )
+            assert row.num_matches is not None
+            assert set(row.seconds) == {"matching", "solving"}
+            assert re.search(r"torch \d+, OpenCV \d+ threads", row.made_on)
 
 
 @pytest.mark.parametrize("name", ["network", "network+5dof"])
@@ -270,6 +273,14 @@ def test_what_is_predicted_is_not_predicted_again(wall, tmp_path):
         np.testing.assert_array_equal(found[k].estimate.t, prior(pairs[k].input, "gt")[:3, 3])
 
 
+def test_a_file_keeps_what_a_failure_took(tmp_path):
+    path, origin = tmp_path / "p.h5", Origin("m", "gt", "these", "1")
+    failed = predictions.Prediction(3, "d", None, "too few", 7, {"matching": 0.5}, "a machine")
+    predictions.write(path, [failed], origin)
+    [found] = predictions.read(path, origin)
+    assert vars(found) == vars(failed)
+
+
 def test_predictions_of_another_origin_are_refused(tmp_path):
     path, origin = tmp_path / "p.h5", Origin("m", "gt", "these", "1")
     predictions.write(path, [], origin)
@@ -329,6 +340,53 @@ def test_the_command_writes_tables_of_every_method(data, tmp_path, capsys):
     assert "by weather" in text
     assert "geodesic_deg" in (out / "summary.csv").read_text()
     assert "written:" in capsys.readouterr().out
+
+
+def test_seconds_are_of_all_predictions_and_what_was_not_timed_is_counted(scores):
+    taken = ({"matching": 1.0, "solving": 0.2}, {"matching": 3.0}, {})
+    some = [
+        replace(s, seconds=x, failure="late" * (not x), made_on="here" * bool(x))
+        for s, x in zip((s for s in scores if s.method == "sift+5dof"), taken, strict=True)
+    ]
+    [row] = seconds.rows([*some, *(s for s in scores if s.method == "truth")])
+    assert row[:2] == ["sift+5dof", "2.100"]  # of 1.2 and 3.0
+    assert float(row[2]) == pytest.approx(np.percentile([1.2, 3.0], 95))
+    assert row[3:] == ["matching 2.000, solving 0.100", "2", "1", "here"]
+    assert f"| {' | '.join(row)} |" in document(some, {}, {}, "", ("nominal",))
+
+
+def test_failures_are_drawn_hollow_at_their_matches_and_the_prior_s_error(data):
+    pairs = replace(delivery(data), limit=3).open(None)
+    T = pairs[0].input.T_right_left
+    right = PoseEstimate(T[:3, :3], prior(pairs[0].input, "nominal")[:3, 3], num_matches=90)
+    rows = {("m", "nominal"): {0: predictions.Prediction(0, "", right),
+                               1: predictions.Prediction(1, "", None, "too few", 9),
+                               2: predictions.Prediction(2, "", None, "raised")}}  # fmt: skip
+    found = [s for of_pair in scored(pairs, rows, ("nominal",), matchers={}, matched=())
+             for s in of_pair]  # fmt: skip
+    lines = report._by_matches({"m": [s for s in found if s.method == "m"]}, pairs).axes[0].lines
+    full, hollow, _ = lines
+    assert (full.get_fillstyle(), list(full.get_xdata())) == ("full", [90])
+    assert (hollow.get_fillstyle(), list(hollow.get_xdata())) == ("none", [9])
+    left_over = next(s for s in found if (s.method, s.index) == ("unrectified", 1))
+    assert list(hollow.get_ydata()) == [left_over.figures["geodesic_deg"]]
+
+
+def test_overlays_show_the_truth_and_the_prior_where_a_method_failed(data):
+    pairs = replace(delivery(data), limit=1).open(None)
+    T = pairs[0].input.T_right_left
+    rows = {("m", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))},
+            ("failing", "gt"): {0: predictions.Prediction(0, "", None, "too few")}}  # fmt: skip
+    of_pair = next(scored(pairs, rows, ("gt",), matchers={}, matched=()))
+    pair = pairs[0].metric
+    poses = {s.method: report._pose(s, rows, pair) for s in of_pair}
+    assert list(poses) == ["unrectified", "m", "failing", "truth"]
+    assert poses["unrectified"] is None
+    for method, expected in (("m", T), ("failing", prior(pair, "gt")), ("truth", T)):
+        np.testing.assert_array_equal(poses[method][0], expected[:3, :3])
+    html = report._overlays(rows, of_pair, pairs)
+    captions = re.findall("<figcaption>.*?: (.*?)</figcaption>", html)
+    assert captions == ["unrectified", "m", "failing, which failed", "truth"]
 
 
 def test_a_method_without_weights_stays_in_the_table(scores):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,12 @@ import pytest
 from planes import along_x, plane_pair, turned
 from tiny_network import road_set
 
-from flowrect.evaluate_depth import DepthOptions, main, matched_by
+from flowrect.depth import STEREO
+from flowrect.depth_error import DepthSamples
+from flowrect.evaluate_depth import Tally, by_range, main, matched_by, rectified_by
 from flowrect.evaluation.delivered import Delivery
-from flowrect.evaluation.predictions import Origin, Prediction, write
+from flowrect.evaluation.depth_report import depth_rows
+from flowrect.evaluation.predictions import Origin, Prediction, file_name, write
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.evaluation.stamp import of_method
 from flowrect.methods import PoseEstimate
@@ -20,15 +24,14 @@ from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing, sized
 
 
-def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter(tmp_path):
+def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter():
     R, t = turned(0.3, -0.4, 0.5), along_x()
     pair = plane_pair(R, t, np.array([0.002, 0.02, 0.04]))
     window = sized(pair, Sizing(METRIC_WH)).metric
-    options = DepthOptions(tmp_path, nearest_m=6.0)
     true, wrong = R[0].numpy(), (turned(y=0.4) @ R)[0].numpy()
     rows = []
     for rotation, scale in ((true, 1.0), (true, 7.0), (wrong, 1.0)):
-        found = matched_by(rotation, scale * t[0].numpy(), window, options)
+        found = matched_by(*rectified_by(rotation, scale * t[0].numpy(), window), window, "sgbm", 6)
         [row] = found.samples(window).by_range((0, 300))
         rows.append(row)
     assert rows[0].coverage > 0.8
@@ -36,16 +39,24 @@ def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter(tmp_pa
     assert rows[2].median_m > 3 * rows[0].median_m
 
 
+def ranges_of(path: Path) -> dict[str, list[dict[str, str]]]:
+    """Rows of a table, by method."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {name: [r for r in rows if r["method"] == name] for name in {r["method"] for r in rows}}
+
+
 @pytest.fixture
 def given(tmp_path: Path) -> list[str]:
-    """A set, and results on it: of the true pose, of a wild one, and of a method that failed."""
+    """A set, and results on it: of the true pose, of a wild one, of a method that failed, and of
+    one that was interrupted after a pair."""
     data = road_set(tmp_path / "set", frames=1)
     pairs = Delivery(data, "all", (96, 48)).open()
-    for method in ("right", "wild", "failing"):
+    for method in ("right", "wild", "failing", "begun"):
         rows = []
-        for i in range(len(pairs)):
+        for i in range(1 if method == "begun" else len(pairs)):
             T = pairs[i].input.T_right_left
-            t = {"right": T[:3, 3], "wild": np.array([0.0, -1.0, 0.0])}.get(method)
+            t = {"wild": np.array([0.0, -1.0, 0.0]), "failing": None}.get(method, T[:3, 3])
             pose = None if t is None else PoseEstimate(T[:3, :3], t)
             rows.append(Prediction(i, "", pose, "" if pose else "too few matches"))
         origin = Origin(method, "nominal", pairs.fingerprint, of_method(method))
@@ -61,19 +72,58 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     printed = capsys.readouterr().out
     assert "failing (3 failed)" in printed
     assert "wild (3 failed)" in printed  # its baseline is vertical
-    with (tmp_path / "results" / "depth.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    of = {name: [r for r in rows if r["method"] == name]
-          for name in (UNRECTIFIED, "right", "wild", "failing", TRUTH)}  # fmt: skip
+    assert "begun (1 of 3 pairs)" in printed
+    of = ranges_of(tmp_path / "results" / "depth.sgbm.nominal.csv")
+    begun = of.pop("begun")
+    assert {(r["pairs"], r["failed_pairs"]) for r in begun} == {("1", "0")}
     for figure in ("pixels", "coverage", "mae_m", "mae_common_m"):
         column = {name: [r[figure] for r in found] for name, found in of.items()}
         assert column["failing"] == column["wild"] == column[UNRECTIFIED]
         assert column["right"] == column[TRUTH]
     assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
-    page = (tmp_path / "results" / "depth.html").read_text(encoding="utf-8")
-    assert page.count("data:image/jpeg") == 2 * 3 * len(of)  # an overlay and depth, of three pairs
+    page = (tmp_path / "results" / "depth.sgbm.nominal.html").read_text(encoding="utf-8")
+    shown = 3 * len(of) + 1  # three pairs, one of them also by the method that has begun
+    assert page.count("data:image/jpeg") == 2 * shown  # an overlay and depth
     assert page.count("<svg") == 2
     assert "failing (3 failed)" in page
+
+
+def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none():
+    true = np.array([5.0, 6.0, 50.0])
+    some = np.array([np.nan, 7.0, 53.0])
+    tallies = {
+        "all": Tally({0: DepthSamples(true, true + 1), 1: DepthSamples(true, some)}, failed=1),
+        "begun": Tally({1: DepthSamples(true, true)}),
+        "not yet": Tally(),
+    }
+    near = {name: found[0] for name, found in by_range(tallies).items()}
+    own, common = near["all"]
+    assert (own.pixels, own.answered, own.mae_m) == (4, 3, 1.0)
+    assert (common.pixels, common.mae_m) == (3, 1.0)
+    own, common = near["begun"]
+    assert (own.pixels, common.pixels, common.mae_m) == (2, 1, 0.0)
+    assert near["not yet"][0].pixels == 0
+    names = [row[0] for row in depth_rows(by_range(tallies), {m: t.counts for m, t in
+                                                              tallies.items()})]  # fmt: skip
+    assert names == ["all (1 failed)", "begun (1 of 2 pairs)", "not yet (0 of 2 pairs)"]
+
+
+def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
+    given, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.delenv("FLOWRECT_HITNET", raising=False)
+    for name in ("far", "near"):
+        flat = partial(np.full, METRIC_WH[::-1], 1.0 if name == "far" else 9.0)
+        monkeypatch.setitem(STEREO, name, lambda *_, flat=flat: lambda *_: flat(dtype=np.float32))
+    given += ["--pairs", "1"]
+    assert main([*given, "--stereo", "far", "near=a/b.pt", "hitnet"]) == 0
+    assert "hitnet: no weights: hitnet: no weights are shipped. Train" in capsys.readouterr().out
+    folder = tmp_path / "results"
+    names = {path.name for path in folder.glob("depth.*.csv")}
+    assert names == {"depth.far.nominal.csv", f"depth.{file_name('near=a/b.pt')}.nominal.csv"}
+    for name in names:
+        assert "hitnet: no weights" in (folder / name).with_suffix(".html").read_text("utf-8")
+    assert main([*given, "--stereo", "hitnet"]) == 2
 
 
 def test_depth_without_predictions_or_matcher_is_refused(given, tmp_path, capsys):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,6 +25,15 @@ SHOWN_M = 3.0, EDGES_M[-1]
 
 Ranges = Mapping[str, Sequence[tuple[RangeError, RangeError]]]
 """by method: errors of each range, of the method's own answers and of pixels that all answered"""
+
+
+class Counts(NamedTuple):
+    """How many pairs a method's figures are of."""
+
+    pairs: int
+    """that it has predicted"""
+    failed: int
+    """of those, rectified by the prior"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +54,14 @@ class Picture:
 
 
 def write_depth_report(
-    path: Path, title: str, ranges: Ranges, failed: Mapping[str, int], pictures: Sequence[Picture]
+    path: Path,
+    title: str,
+    ranges: Ranges,
+    counts: Mapping[str, Counts],
+    pictures: Sequence[Picture],
+    lacking: Mapping[str, str],
 ) -> None:
-    """Writes the page."""
+    """Writes the page; ``lacking`` says why other stereo matchers could not run."""
     charts = {
         "mean absolute error of pixels that all answered": _by_range(
             {m: [common.mae_m for _, common in found] for m, found in ranges.items()},
@@ -64,9 +79,11 @@ def write_depth_report(
     )
     sections = [
         f'<p class="lead">{escape(title)}</p>',
+        *(f"<p>{escape(name)}: no weights: {escape(why)}</p>" for name, why in lacking.items()),
         section("Error by range", f'<div class="charts">{"".join(drawn)}</div>'),
-        section("In numbers", _table(ranges, failed), "Mean / median of |error| in m of pixels "
-                "that all answered; in brackets, the share of pixels that the method answered."),
+        section("In numbers", _table(ranges, counts), "Mean / median of |error| in m of pixels "
+                "that all answered who have predicted the pair; in brackets, the share of pixels "
+                "that the method answered."),
         section("Pairs and their depth", _pictures(pictures), "Left and right image laid over each "
                 "other: what is at one height in both stands on one line. Below, depth: red "
                 f"{SHOWN_M[0]:g} m, blue {SHOWN_M[1]:g} m, grey no answer. Chosen evenly from the "
@@ -89,22 +106,30 @@ def _by_range(values: Mapping[str, Sequence[float]], unit: str, *, log: bool = F
     return figure
 
 
-def _table(ranges: Ranges, failed: Mapping[str, int]) -> str:
+def _table(ranges: Ranges, counts: Mapping[str, Counts]) -> str:
     head = ["method", *(f"{a:g}–{b:g} m" for a, b in pairwise(EDGES_M)), "mean of means"]
     rows = [[c.replace("\n", " (") + ")" * ("\n" in c) for c in row]
-            for row in depth_rows(ranges, failed)]  # fmt: skip
+            for row in depth_rows(ranges, counts)]  # fmt: skip
     return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
 
 
-def depth_rows(ranges: Ranges, failed: Mapping[str, int]) -> Iterator[list[str]]:
+def depth_rows(ranges: Ranges, counts: Mapping[str, Counts]) -> Iterator[list[str]]:
     """The cells of each method: MAE / median [m] of common pixels, and own coverage, by range."""
+    most = max(c.pairs for c in counts.values())
     for method, found in ranges.items():
         known = [c.mae_m for _, c in found if np.isfinite(c.mae_m)]
         yield [
-            method + (f" ({failed[method]} failed)" if failed[method] else ""),
+            method + _mark(counts[method], most),
             *(f"{c.mae_m:.2f} / {c.median_m:.2f}\n{own.coverage:.0%}" for own, c in found),
             f"{np.mean(known):.2f}" if known else "–",
         ]
+
+
+def _mark(counts: Counts, of: int) -> str:
+    """What a name is followed by: pairs that it lacks, and those that failed."""
+    marks = [f"{counts.pairs} of {of} pairs"] * (counts.pairs < of)
+    marks += [f"{counts.failed} failed"] * (counts.failed > 0)
+    return f" ({', '.join(marks)})" if marks else ""
 
 
 def _pictures(pictures: Sequence[Picture]) -> str:

@@ -7,19 +7,21 @@ is not done again.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import multiprocessing
+import platform
 import time
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import torch
 from pebble import ProcessExpired, ProcessPool
 
 from flowrect.evaluation import predictions, stamp
@@ -55,11 +57,7 @@ class Run:
 
     def path(self, method: str, translation: Translation) -> Path:
         """Where a method's predictions are."""
-        name = method
-        if "=" in method:  # a path, of any length
-            head, _, solver = method.partition("=")
-            name = f"{head}-{hashlib.sha256(solver.encode()).hexdigest()[:8]}"
-        return self.out / "predictions" / f"{name}.{translation}.h5"
+        return self.out / "predictions" / f"{predictions.file_name(method)}.{translation}.h5"
 
 
 @dataclass
@@ -168,24 +166,31 @@ def _predict_one(
     load: Load, delivery: Delivery, name: str, translation: Translation, i: int, folder: Path
 ) -> Prediction | str:
     """One method on one pair; a text if the method cannot be loaded here: it may want weights."""
-    prepared = _pair(delivery, i)
-    pair = prepared.input
+    pair = _pair(delivery, i).input
     try:
         method = _method(load, name)
     except UserError as error:
         return str(error)
     except Exception as error:  # a broken package, a damaged file: it costs that method only
         return f"it cannot be loaded: {type(error).__name__}: {error}"
+    row = partial(Prediction, i, pair.name, made_on=_made_on())
     try:
         estimate = _estimated(method, pair, prior(pair, translation), folder, i)
         _require_pose(estimate)
-        return Prediction(i, pair.name, estimate)
+        return row(estimate)
+    except NoSolution as error:
+        return row(None, str(error), num_matches=error.num_matches, seconds=error.seconds)
+    except UserError as error:
+        return row(None, str(error))
     except (OSError, MemoryError) as error:
-        return Prediction(i, pair.name, None, f"{FAULT}: {type(error).__name__}: {error}")
-    except (NoSolution, UserError) as error:
-        return Prediction(i, pair.name, None, str(error))
+        return row(None, f"{FAULT}: {type(error).__name__}: {error}")
     except Exception as error:  # whatever it is, it is this method's failure on this pair
-        return Prediction(i, pair.name, None, f"{type(error).__name__}: {error}")
+        return row(None, f"{type(error).__name__}: {error}")
+
+
+def _made_on() -> str:
+    machine = platform.processor() or platform.machine()
+    return f"{machine}, torch {torch.get_num_threads()}, OpenCV {cv2.getNumThreads()} threads"
 
 
 def _require_pose(estimate: PoseEstimate) -> None:
@@ -196,15 +201,13 @@ def _require_pose(estimate: PoseEstimate) -> None:
 
 
 def _estimated(method: Method, pair: Pair, start: Array, folder: Path, i: int) -> PoseEstimate:
-    args = pair.K_left, pair.K_right, start
+    given = pair.left, pair.right, pair.K_left, pair.K_right, start
     if not isinstance(method, FromMatches):
-        return method(pair.left, pair.right, *args)
+        return method(*given)
     parts = PARTS.get(method.matcher, (method.matcher,))
     found = [_matches(folder / name / f"{i:06d}.npz", name, pair) for name in parts]
-    matches, spent = joined([m for m, _ in found]), sum(seconds for _, seconds in found)
-    began = method.start(pair.left, pair.right, *args)
-    seconds = Seconds({"matching": spent, **began.seconds})
-    return method.solved(matches, pair.K_left, pair.K_right, began, seconds)
+    seconds = Seconds(matching=sum(seconds for _, seconds in found))
+    return method.of_matches(joined([m for m, _ in found]), seconds, *given)
 
 
 @lru_cache(maxsize=1)

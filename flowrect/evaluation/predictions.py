@@ -6,10 +6,12 @@ solution, or took too long, and the text says which.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -21,7 +23,7 @@ from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.shards import write_atomically
 
-FORMAT = "flowrect-predictions-1"
+FORMAT = "flowrect-predictions-2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,20 @@ class Prediction:
     estimate: PoseEstimate | None
     failure: str = ""
     """why there is no estimate"""
+    num_matches: int | None = None
+    """of a failure, where it is known; else the estimate says"""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """of a failure, as num_matches"""
+    made_on: str = ""
+    """machine and threads"""
+
+    @property
+    def known(self) -> PoseEstimate:
+        """The estimate; of a failure one without a pose."""
+        nothing = np.full((3, 3), np.nan)
+        return self.estimate or PoseEstimate(
+            nothing, nothing[0], num_matches=self.num_matches, seconds=self.seconds
+        )
 
 
 @dataclass(frozen=True)
@@ -48,10 +64,16 @@ class Origin:
     """see evaluation/stamp.py"""
 
 
+def file_name(name: str) -> str:
+    """What files of a NAME or NAME=PATH are named by: a path has any length, and slashes."""
+    head, _, path = name.partition("=")
+    return f"{head}-{hashlib.sha256(path.encode()).hexdigest()[:8]}" if path else name
+
+
 def write(path: Path, rows: Iterable[Prediction], origin: Origin) -> None:
     """Writes all rows atomically."""
     rows = sorted(rows, key=lambda r: r.index)
-    estimates = [r.estimate or _NOTHING for r in rows]
+    estimates = [r.known for r in rows]
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
         file.attrs.update(format=FORMAT, **asdict(origin))
@@ -65,6 +87,7 @@ def write(path: Path, rows: Iterable[Prediction], origin: Origin) -> None:
         texts = {
             "name": [r.name for r in rows],
             "failure": [r.failure for r in rows],
+            "made_on": [r.made_on for r in rows],
             "seconds": [json.dumps(e.seconds) for e in estimates],
             "notes": [json.dumps(e.notes) for e in estimates],
         }
@@ -73,9 +96,6 @@ def write(path: Path, rows: Iterable[Prediction], origin: Origin) -> None:
                                 shape=(len(values),))  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, memory.getvalue())
-
-
-_NOTHING = PoseEstimate(np.full((3, 3), np.nan), np.full(3, np.nan))
 
 
 def _or_nan(covariance: Array | None) -> Array:
@@ -95,7 +115,7 @@ def read(path: Path, origin: Origin) -> list[Prediction]:
     with h5py.File(path, "r") as file:
         arrays = {k: file[k][:] for k in ("index", "R", "t", "covariance", "num_matches",
                                           "num_inliers")}  # fmt: skip
-        texts = {k: file[k].asstr()[:] for k in ("name", "failure", "seconds", "notes")}
+        texts = {k: file[k].asstr()[:] for k in (*_TEXTS, "seconds", "notes")}
     return [_row(i, arrays, texts) for i in range(len(arrays["index"]))]
 
 
@@ -117,24 +137,28 @@ def origin_of(path: Path) -> Origin:
         ) from error
 
 
+_TEXTS = "name", "failure", "made_on"
+
+
 def _row(i: int, arrays: dict[str, Array], texts: dict[str, list[str]]) -> Prediction:
-    index, name, failure = int(arrays["index"][i]), str(texts["name"][i]), str(texts["failure"][i])
-    if failure:
-        return Prediction(index, name, None, failure)
-    covariance = arrays["covariance"][i]
+    name, failure, made_on = (str(texts[k][i]) for k in _TEXTS)
+    seconds, covariance = json.loads(texts["seconds"][i]), arrays["covariance"][i]
     num_matches, num_inliers = (
         n if (n := int(arrays[k][i])) >= 0 else None for k in ("num_matches", "num_inliers")
     )
+    row = partial(Prediction, int(arrays["index"][i]), name, made_on=made_on)
+    if failure:
+        return row(None, failure, num_matches=num_matches, seconds=seconds)
     estimate = PoseEstimate(
         arrays["R"][i],
         arrays["t"][i],
         None if np.isnan(covariance).any() else covariance,
         num_matches,
         num_inliers,
-        seconds=json.loads(texts["seconds"][i]),
+        seconds=seconds,
         notes=tuple(json.loads(texts["notes"][i])),
     )
-    return Prediction(index, name, estimate)
+    return row(estimate)
 
 
 def _present_stamp(path: Path, origin: Origin) -> str:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from flowrect.depth_error import rectified_images
 from flowrect.drectify import rectify
-from flowrect.evaluation import tables
+from flowrect.evaluation import seconds, tables
 from flowrect.evaluation.delivered import Delivered, evenly, prior
 from flowrect.evaluation.drawing import captioned, colours, overlay, short
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
@@ -45,11 +45,15 @@ def write_report(
             section(f"t = {translation}", _table(of, unavailable, trained) + _charts(of, pairs))
         )
     last = translations[-1]
+    drawn = _overlays(rows, [s for s in scores if s.translation == last], pairs)
     sections.append(section(
-        "Pairs as the methods rectify them", _overlays(rows, pairs, last),
+        "Pairs as the methods rectify them", drawn,
         f"Left and right image laid over each other, t = {last}: what is at one height in both "
-        "stands on one line. Chosen evenly from the set, not by hand.",
+        "stands on one line. Where a method failed, the prior's rectification is shown. Chosen "
+        "evenly from the set, not by hand.",
     ))  # fmt: skip
+    timed = table(seconds.HEAD, seconds.rows(scores))
+    sections.append(section("Seconds", f'<div class="scroll">{timed}</div>', seconds.NOTE))
     write_atomically(path, page("Rectification", sections).encode())
 
 
@@ -104,13 +108,19 @@ def _cumulative(groups: dict[str, list[Score]]) -> Figure:
 
 
 def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
-    """Errors of methods that count their matches, and what no method can better on average."""
+    """Errors of methods that count their matches, and what no method can better on average.
+
+    Failures, which have the prior's error, are hollow; those without any match stand at 1.
+    """
     figure, axes = empty(SIZE)
     for method, color in colours(groups).items():
-        known = [s for s in groups[method] if s.num_matches]
-        if known:
-            num, error = [s.num_matches or 0 for s in known], [_geodesic(s) for s in known]
-            axes.plot(num, error, ".", markersize=3, color=color, label=short(method), alpha=0.6)
+        known = [(s.num_matches, s) for s in groups[method] if s.num_matches is not None]
+        for failed in (False, True):
+            points = [(max(1, n), _geodesic(s)) for n, s in known if bool(s.failure) == failed]
+            if points:
+                axes.plot(*zip(*points, strict=True), ".", markersize=3 + 2 * failed, color=color,
+                          fillstyle="none" if failed else "full", alpha=0.6,
+                          label=short(method) + failed * " failed")  # fmt: skip
     pair = pairs[0].input
     counts = np.geomspace(20, 20_000, 50)
     bound = cramer_rao_deg(counts, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
@@ -152,20 +162,32 @@ def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
 # --- overlays ----------------------------------------------------------------------------------
 
 
-def _overlays(rows: Rows, pairs: Delivered, translation: str) -> str:
+def _overlays(rows: Rows, scores: Sequence[Score], pairs: Delivered) -> str:
+    """Some pairs as all methods rectify them, the truth last; failures by the prior."""
     cells = []
     for i in evenly(NUM_SHOWN + 2, len(pairs))[1:-1] or range(len(pairs)):
         pair = pairs[i].metric
-        T = prior(pair, "gt" if translation == "gt" else "nominal")
-        shown: dict[str, tuple[Array, Array] | None] = {UNRECTIFIED: None}
-        for (method, t), predictions in rows.items():
-            estimate = predictions[i].estimate if i in predictions else None
-            if t == translation and estimate is not None:
-                shown[method] = estimate.R, T[:3, 3] if translation == "gt" else estimate.t
-        for method, pose in shown.items():
+        for score in (s for s in scores if s.index == i):
+            pose = _pose(score, rows, pair)
             left, right = (pair.left, pair.right) if pose is None else _rectified(pair, *pose)
-            cells.append(captioned([overlay(left, right)], f"{pair.name}: {method}"))
+            failed = ", which failed" if score.failure else ""
+            cells.append(captioned([overlay(left, right)], f"{pair.name}: {score.method}{failed}"))
     return f'<div class="sheet">{"".join(cells)}</div>'
+
+
+def _pose(score: Score, rows: Rows, pair: Pair) -> tuple[Array, Array] | None:
+    """R and t that a pair is rectified by as it was scored; None: not at all."""
+    if score.method == UNRECTIFIED:
+        return None
+    if score.method == TRUTH:
+        T = pair.T_right_left
+        assert T is not None, "as delivered"
+        return T[:3, :3], T[:3, 3]
+    T_prior = prior(pair, score.translation)
+    estimate = rows[score.method, score.translation][score.index].estimate
+    if score.failure or estimate is None:
+        return T_prior[:3, :3], T_prior[:3, 3]
+    return estimate.R, T_prior[:3, 3] if score.translation == "gt" else estimate.t
 
 
 def _rectified(pair: Pair, R: Array, t: Array) -> tuple[Image, Image]:

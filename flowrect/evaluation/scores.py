@@ -8,7 +8,7 @@ pixels, and takes the prior's, but its angles stay its own. Rectified images are
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -53,7 +53,10 @@ class Score:
     notes: str = ""
     """what the method itself says against its estimate"""
     num_matches: int | None = None
-    seconds: float = 0.0
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """by stage; empty where they are not known"""
+    made_on: str = ""
+    """machine and threads"""
 
 
 Rows = Mapping[tuple[str, str], Mapping[int, Prediction]]
@@ -91,11 +94,11 @@ def scored(
                 if row is None:
                     continue
                 figures, failure = _scored(batch, row, nominal, translation, look)
-                e = row.estimate
+                known = row.known
                 found.append(Score(
                     method, translation, i, pair.name, pair.scene, pair.weather, pair.daylight,
-                    figures, failure, "; ".join(e.notes) if e else "",
-                    e.num_matches if e else None, sum(e.seconds.values()) if e else 0.0,
+                    figures, failure, "; ".join(known.notes), known.num_matches, known.seconds,
+                    row.made_on,
                 ))  # fmt: skip
         yield found
 

@@ -1,4 +1,4 @@
-"""Scores as files to work on and to read: CSV, and Markdown in the layout of Table 2."""
+"""Scores as files to work on and to read: CSV, and Markdown in the layout of Tables 2 and 3."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flowrect.evaluation import seconds
 from flowrect.evaluation.scores import Score
 from flowrect.metrics import Summary, summarise
 
@@ -70,7 +71,8 @@ def write_scores(path: Path, scores: Sequence[Score]) -> None:
     names = figure_names(scores)
     rows = []
     for score in scores:
-        flat = asdict(score)
+        whole = sum(score.seconds.values()) if score.seconds else np.nan
+        flat = asdict(score) | {"seconds": whole}
         rows.append([flat[c] for c in COLUMNS] + [score.figures.get(n, np.nan) for n in names])
     path.write_text(_csv([*COLUMNS, *names], rows), encoding="utf-8")
 
@@ -183,9 +185,13 @@ def main_rows(
     translation: str,
     unavailable: Mapping[str, str],
     trained: Mapping[str, str],
+    figures: Sequence[str] = (),
 ) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: all methods of one translation; those that could not run say why."""
-    cells = columns(figure_names(scores))
+    """Head and rows: all methods of one translation; those that could not run say why.
+
+    ``figures`` have a column even if none of these scores has them.
+    """
+    cells = columns(figures or figure_names(scores))
     rows = [[m, trained.get(g[0].method, "–"), *(cell(g) for cell in cells.values())]
             for m, g in groups_of(scores, translation).items()]  # fmt: skip
     rows += [[m, f"no weights: {why}", *[""] * len(cells)] for m, why in unavailable.items()]
@@ -197,9 +203,10 @@ def main_table(
     translation: str,
     unavailable: Mapping[str, str],
     trained: Mapping[str, str],
+    figures: Sequence[str] = (),
 ) -> str:
     """``main_rows`` in Markdown."""
-    head, rows = main_rows(scores, translation, unavailable, trained)
+    head, rows = main_rows(scores, translation, unavailable, trained, figures)
     escaped = ([c.replace("|", "\\|") for c in line] for line in [head, *rows])
     return markdown(next(escaped), escaped)
 
@@ -281,6 +288,7 @@ def document(
             ]
         for by, name in HARD:
             if part := [s for s in scores if STRATA[by](s) == name]:
-                alone = main_table(part, translation, {}, trained)
+                alone = main_table(part, translation, {}, trained, figure_names(scores))
                 parts += [f"### {name} alone, {len(pairs_of(part))} pairs\n", alone]
+    parts += ["## Seconds\n", f"{seconds.NOTE}\n", markdown(seconds.HEAD, seconds.rows(scores))]
     return "\n".join(parts)

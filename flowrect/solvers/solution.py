@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,17 @@ from simgen.geometry import Array
 
 class NoSolution(Exception):
     """The matches do not say how the cameras stand; the message says why."""
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        num_matches: int | None = None,
+        seconds: Mapping[str, float] | None = None,
+    ) -> None:
+        """What it took to find that out, where it is known: matches, and seconds by stage."""
+        super().__init__(message)
+        self.num_matches, self.seconds = num_matches, dict(seconds or {})
 
 
 @dataclass(frozen=True, eq=False)
