@@ -278,7 +278,8 @@ def choose_preset(arguments: Sequence[str]) -> tuple[str, str]:
 
 def parsed(arguments: Sequence[str], preset: str) -> AnyOptions:
     """The options, with the preset's defaults, and with --overfit those of its schedule."""
-    default = {**TRAINING, **RIVAL_TRAINING}.get(preset, TRAINING["small"])
+    presets: dict[str, AnyOptions] = {**TRAINING, **RIVAL_TRAINING}
+    default = presets.get(preset, TRAINING["small"])
     options = _parsed(arguments, default)
     return _parsed(arguments, replace(default, **OVERFIT)) if options.overfit else options
 
