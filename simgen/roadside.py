@@ -398,7 +398,7 @@ def small_things(layout: Layout) -> Placed:
             by_the_kerb = lane.width - radius - 0.15
             inward = at_the_back if radius > 0.5 or rng.random() < 0.5 else by_the_kerb
             left = np.array([-np.sin(heading), np.cos(heading), 0.0])
-            near = np.linalg.norm(point[:2] - layout.rig_xy) < UNIQUE_WITHIN_M
+            near = layout.distance(point[:2])[0] < UNIQUE_WITHIN_M
             model = None if near else stock.get(kind)
             if model is None:
                 model = stock[kind] = _small(layout, kind, rng)
@@ -454,7 +454,7 @@ def _stretches(
         span = float(rng.uniform(6.0, 16.0))
         xy = points_at(shifted, np.linspace(s, min(length, s + span), 9))[:, :2]
         s += span + (float(rng.uniform(3.0, 5.0)) if rng.random() < 0.3 else 0.0)
-        far = np.linalg.norm(xy.mean(axis=0) - layout.rig_xy) > FRONTAGE_AHEAD_M
+        far = layout.distance(xy.mean(axis=0))[0] > FRONTAGE_AHEAD_M
         if far or not layout.in_view(xy.mean(axis=0)):
             continue
         z = layout.site.height(xy)

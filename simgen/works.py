@@ -154,7 +154,7 @@ def _lattice_beam(start: ArrayLike, end: ArrayLike, width: float, color: Array) 
 # --- placement -----------------------------------------------------------------------------------
 
 NEAR_M = (14.0, 80.0)
-"""Works begin this far ahead of the rig."""
+"""Works begin this far ahead of where the rig starts."""
 NARROW_M = 1.2
 """Boards do not fit between the lanes and the edge of the road if that is no more than this."""
 BEHIND_RAIL_M = -1.85

@@ -266,6 +266,54 @@ def test_works_come_with_cones_boards_and_a_digger():
     assert min(num) > 8
 
 
+# --- detail along a drive ------------------------------------------------------------------------
+
+DRIVEN_M = 120.0
+
+
+def on_a_drive(index: int, **changes: object) -> Layout:
+    """A town whose rig drives ahead from the origin."""
+    still = flat_layout("urban", index, **changes)
+    way = np.stack([np.arange(0.0, DRIVEN_M + 1, 3.0), np.zeros(41)], axis=1)
+    return Layout(still.site, still.spec, way, RECTS, 1.0)
+
+
+def test_small_things_that_a_drive_passes_are_built_for_their_place(monkeypatch):
+    models: list[Model] = []
+    places: list[np.ndarray] = []
+
+    def stands(_layout: Layout, model: Model, xy: np.ndarray, *_: float) -> Model:
+        models.append(model)
+        places.append(xy[:2])
+        return model
+
+    monkeypatch.setattr(roadside, "_small", lambda *_: [*POINTER])
+    monkeypatch.setattr(roadside, "_stands", stands)
+    layout = on_a_drive(0, small_per_100m=20.0)
+    list(roadside.small_things(layout))
+    near = layout.distance(np.array(places)) < roadside.UNIQUE_WITHIN_M - 5.0
+    late = np.array(places)[:, 0] > roadside.UNIQUE_WITHIN_M + 5.0
+    assert (near & late).sum() > 5
+    close = [m for m, n in zip(models, near, strict=True) if n]
+    assert len({id(m) for m in close}) == len(close)
+    assert len({id(m) for m in models}) < len(models)
+
+
+def test_fences_reach_as_far_ahead_of_the_last_frame_as_of_the_first(monkeypatch):
+    runs: list[np.ndarray] = []
+
+    def fence(_kind: str, run: np.ndarray, *, rng: np.random.Generator) -> object:
+        runs.append(run.mean(axis=0)[:2])
+        return POINTER[0]
+
+    monkeypatch.setattr(barriers, "fence", fence)
+    layout = on_a_drive(0, hedges=0.0, fences=1.0)
+    list(roadside.frontage(layout))
+    middles = np.array(runs)
+    assert layout.distance(middles).max() <= roadside.FRONTAGE_AHEAD_M
+    assert middles[:, 0].max() > roadside.FRONTAGE_AHEAD_M + 0.5 * DRIVEN_M
+
+
 # --- all that is built ---------------------------------------------------------------------------
 
 SPOT_BUILDERS = {
