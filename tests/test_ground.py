@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 
 from simgen import ground, markings, roads
 from simgen.color import linear_from_srgb
@@ -86,20 +87,25 @@ def test_uv_of_the_ground_leads_to_its_own_texel(built):
 
 
 def test_paint_is_where_the_marking_says(built):
-    """A texel in the middle of a fresh stop line or zebra bar is bright, asphalt beside it dark."""
+    """A texel in the middle of a patch of paint is brighter than the asphalt around the paint."""
     _, _, site, paints, rings = built
     band, ring = bands(np.eye(4), OPTICS)[2], rings[2]
-    linear = linear_from_srgb(ring.image[..., 1] / 255.0)
-    centres = np.array([p.outline.mean(axis=0) for p in paints])
-    inside = site.clear_of(centres, road=-1, pavement=-1, buildings=-1)
-    column, row = np.round(band.texels(centres[inside])).astype(int).T
-    h, w = band.shape
-    seen = (column > 2) & (column < w - 3) & (row > 2) & (row < h - 3)
-    assert seen.sum() > 5
-    painted = linear[row[seen], column[seen]]
-    road = ring.parts[0].vertices[:, :2]
-    assert np.median(painted) > 1.5 * np.median(linear)
-    assert len(road)
+    middles = np.array([p.outline.mean(axis=0) for p in paints])
+    shapely.prepare(site.asphalt)
+    painted = shapely.union_all([shapely.Polygon(p.outline) for p in paints])
+    beside = (middles[:, None] + [[0.0, 0.8], [0.0, -0.8], [0.8, 0.0], [-0.8, 0.0]]).reshape(-1, 2)
+    beside = beside[shapely.distance(painted, shapely.points(beside)) > 0.2]
+
+    def seen(xy: np.ndarray) -> np.ndarray:
+        on_road = shapely.contains(site.asphalt, shapely.points(xy))
+        column, row = np.round(band.texels(xy[on_road])).astype(int).T
+        h, w = band.shape
+        inside = (column > 2) & (column < w - 3) & (row > 2) & (row < h - 3)
+        return linear_from_srgb(ring.image[row[inside], column[inside], 1] / 255.0)
+
+    bright, dark = seen(middles), seen(beside)
+    assert min(len(bright), len(dark)) > 5
+    assert np.median(bright) > 1.5 * np.median(dark)
 
 
 def test_the_same_ground_is_seen_from_further_along():
