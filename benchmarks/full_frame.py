@@ -4,7 +4,9 @@
 
 Prints a table to compare with the bar: at most 60 s per rig frame on two cores after the first
 frame, at most 12 s of it neither path tracing (with its first-hit features) nor denoising, at most
-6 GiB. Kernels are counted by Dr.Jit's own history: "compiled" is neither in memory nor on disk.
+6 GiB. Kernels are counted by Dr.Jit's own history: "new" are those that no earlier frame used, by
+their hashes; "compiled" are neither in memory nor on disk, so that none is once a machine has
+rendered such frames.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -57,7 +60,8 @@ def main(options: Options) -> None:
     )  # fmt: skip
     start(chosen, psutil.cpu_count(), job.wh)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
-    rows = []
+    rows: list[dict[str, float]] = []
+    used: set[int] = set()
     with tempfile.TemporaryDirectory() as folder:
         for index in range(options.frames):
             began = time.perf_counter()
@@ -71,7 +75,10 @@ def main(options: Options) -> None:
             seconds["write"] = time.perf_counter() - lap
             seconds["total"] = time.perf_counter() - began
             seconds["other than tracing"] = seconds["total"] - sum(seconds[k] for k in TRACED)
-            seconds["kernels compiled"] = _num_compiled()
+            kernels = [k for k in dr.kernel_history() if "hash" in k]
+            seconds["new kernels"] = len(_hashes(kernels) - used)
+            seconds["compiled kernels"] = _num_compiled(kernels)
+            used |= _hashes(kernels)
             print(f"frame {index}: {frame['spec']['recipe']}, {seconds['total']:.1f} s", flush=True)
             rows.append(seconds)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
@@ -85,9 +92,12 @@ def main(options: Options) -> None:
         print(f"{stage:20}" + "".join(f"{v:10.1f}" for v in values) + f"{mean:10.1f}")
 
 
-def _num_compiled() -> int:
-    history = dr.kernel_history()
-    return sum(not k["cache_hit"] and not k["cache_disk"] for k in history if "cache_hit" in k)
+def _hashes(kernels: list[dict[str, Any]]) -> set[int]:
+    return {k["hash"] for k in kernels}
+
+
+def _num_compiled(kernels: list[dict[str, Any]]) -> int:
+    return sum(not k["cache_hit"] and not k["cache_disk"] for k in kernels)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from simgen.flowfield import flow_from_depth
 from simgen.geometry import Array, infinite_homography, inverse
 from simgen.rig import Camera
-from simgen.scene import FaceTable, Scene
+from simgen.scene import FaceTable, Scene, aligned
 from simgen.schema import AT_INFINITY, GLASS, LABELS, OCCLUDED, OUT_OF_FRAME, VISIBLE
 
 NO_FACE = -1
@@ -221,7 +221,7 @@ def _trace_wavefront(
     # An opaque origin: as a literal it would be part of the kernel, and every frame would compile.
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin))
     # One array per axis: a stacked one is read with its length as a literal, which compiles, too.
-    axes = (mi.Float(_aligned(d)) for d in directions)
+    axes = (mi.Float(aligned(d)) for d in directions)
     ray = mi.Ray3f(point, mi.Vector3f(*axes))
     hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
     pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in scene.shapes]
@@ -229,21 +229,9 @@ def _trace_wavefront(
     first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int32)
     first_face[slot_ids] = scene.first_face
     shape: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
-    first = dr.gather(mi.Int32, mi.Int32(_aligned(first_face)), shape)
+    first = dr.gather(mi.Int32, mi.Int32(aligned(first_face)), shape)
     face = dr.select(shape == 0, NO_FACE, first + mi.Int32(hit.prim_index))
     return np.asarray(face.numpy())
-
-
-def _aligned(values: NDArray[Any]) -> NDArray[Any]:
-    """A copy (N,) that begins at a multiple of 64 bytes.
-
-    Dr.Jit reads NumPy's memory where it is, by another kernel where it is not aligned.
-    """
-    room = np.empty(values.nbytes + 64, dtype=np.uint8)
-    start = -room.ctypes.data % 64
-    copy = room[start : start + values.nbytes].view(values.dtype)
-    copy[:] = values
-    return copy
 
 
 def _trace_scalar(

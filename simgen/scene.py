@@ -124,6 +124,8 @@ def load(world: World, *, num_lamps: int) -> Scene:
 
     ``num_lamps`` is the number of light slots of a night scene (0 by day): the first lamps take
     all but one of them, slots that are left over stay dark.
+
+    Nothing is loaded in parallel: which kernels that takes would depend on how its threads meet.
     """
     slots = _slots(world)
     with _no_expansion():
@@ -140,6 +142,7 @@ def load(world: World, *, num_lamps: int) -> Scene:
             "sky": _sky_dict(world.sky),
         },
         optimize=False,
+        parallel=False,
     )
     counts = [len(m[2]) for m in meshes]
     return Scene(
@@ -267,7 +270,7 @@ def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
     vertices, faces = _merged_geometry(parts)
     has_uv = slot.material.color_by != "vertex"
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(slot.bsdf)
+    properties["bsdf"] = mi.load_dict(slot.bsdf, parallel=False)
     # It begins as one triangle and grows with its arrays: add_attribute copies number by number.
     # Arrays of scalar variants cannot grow.
     scalar = str(mi.variant()).startswith("scalar")
@@ -279,15 +282,27 @@ def _mesh(slot: _Slot) -> tuple[Any, NDArray[np.float32], NDArray[np.uint32]]:
     if not has_uv:
         mesh.add_attribute("vertex_color", 3, [0.0] * (3 * num_vertices))
     params = mi.traverse(mesh)
-    params["vertex_positions"] = vertices.ravel()
-    params["faces"] = faces.ravel()
-    name, size = ("uv", 2) if has_uv else ("color", 3)
-    params["vertex_texcoords" if has_uv else "vertex_color"] = _attribute(parts, name, size).ravel()
+    params["vertex_positions"] = aligned(vertices)
+    params["faces"] = aligned(faces)
+    key, name, size = ("texcoords", "uv", 2) if has_uv else ("color", "color", 3)
+    params[f"vertex_{key}"] = aligned(_attribute(parts, name, size))
     params.update()
     if curved:  # only now, since new positions bring normals of Mitsuba's own
-        params["vertex_normals"] = _attribute(parts, "normals", 3).ravel()
+        params["vertex_normals"] = aligned(_attribute(parts, "normals", 3))
         params.update()
     return mesh, vertices, faces
+
+
+def aligned(values: NDArray[Any]) -> NDArray[Any]:
+    """A flat copy (N,) that begins at a multiple of 64 bytes.
+
+    Dr.Jit reads NumPy's memory where it is, by another kernel where it is not aligned.
+    """
+    room = np.empty(values.nbytes + 64, dtype=np.uint8)
+    start = -room.ctypes.data % 64
+    copy = room[start : start + values.nbytes].view(values.dtype)
+    copy[:] = values.ravel()
+    return copy
 
 
 def _merged_geometry(parts: Sequence[Part]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:

@@ -402,12 +402,3 @@ def test_the_same_scene_gives_the_same_bytes():
         view = gt.look(scene, camera(EYE, (3, 1, 2)))
         both.append((gt.depth(view).tobytes(), view.face.tobytes()))
     assert both[0] == both[1]
-
-
-@pytest.mark.parametrize("offset", [0, 1, 4, 7])
-def test_arrays_are_handed_over_aligned_wherever_they_begin(offset):
-    """Dr.Jit would compile another kernel for each alignment."""
-    values = np.arange(100, dtype=np.float32)[offset:]
-    copy = gt._aligned(values)
-    assert copy.ctypes.data % 64 == 0
-    np.testing.assert_array_equal(copy, values)
