@@ -57,6 +57,17 @@ def test_the_triangle_budget_holds(built):
     assert sum(len(p.faces) for p in built[0].parts) < 1_500_000
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("recipe", ["rural", "suburban"])
+def test_the_triangle_budget_holds_for_a_long_lens(recipe):
+    """Of the truck's rig, 30° wide, which magnifies what is ahead."""
+    half = np.deg2rad(15.0)
+    long_lens = replace(OPTICS, focal_px=48.0 / np.tan(half), hfov_rad=2 * half)
+    spec = make_spec(recipe, 7)
+    scene = world.build(spec, world.drive(spec, 0), long_lens)
+    assert sum(len(p.faces) for p in scene.parts) < 1_500_000
+
+
 def test_vehicles_stand_on_their_wheels(built):
     scene, site, _ = built
     for vertices in things(scene.parts, VEHICLES):
