@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +29,7 @@ from rich.table import Table
 
 from flowrect.evaluation import tables
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation, evenly
-from flowrect.evaluation.offsets import Offsets
+from flowrect.evaluation.offsets import Look, Memory, Offsets, VerticalFlow
 from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
@@ -65,8 +65,11 @@ class EvaluateOptions:
     offsets: tuple[str, ...] = ("sift-paper",)
     """matchers that measure what is left between rectified images; aliked takes the place of the
     paper's SuperGlue"""
+    flow_network: str = ""
+    """RAFT that measures vertical flow between rectified images, as in the paper: weights of
+    flowrect.train_flow, torchvision or torchvision-large; without this it is not measured"""
     matched_pairs: int = 86
-    """pairs, evenly chosen, for these"""
+    """pairs, evenly chosen, for these two"""
     time_limit_s: float = 120.0
     """that a method may take for a pair; then it is stopped, which counts as a failure"""
     jobs: int = 1
@@ -79,7 +82,7 @@ class EvaluateOptions:
 def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     """Predicts what is missing, scores everything, and writes the files."""
     _require_sensible(options)
-    matchers = _offset_matchers(options.offsets, options.out)
+    looks = _looks(options)
     make_folder(options.out)
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
@@ -92,7 +95,7 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
     rows = predictions_of(options.out, delivery.open().fingerprint)
     unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
-    scores = _scored(delivery.open(truth_points=None), rows, matchers, options, console)
+    scores = _scored(delivery.open(truth_points=None), rows, looks, options, console)
     trained = {m: training_of(m) for m, _ in rows}
     _write(options, scores, unavailable, trained)
     report_path = options.out / "report.html"
@@ -111,14 +114,14 @@ def _kept(path: Path, left_out: dict[str, str], there: Collection[str]) -> dict[
 def _scored(
     pairs: Delivered,
     rows: Rows,
-    matchers: Mapping[str, Offsets],
+    looks: Sequence[Look],
     options: EvaluateOptions,
     console: Console,
 ) -> list[Score]:
     matched = evenly(options.matched_pairs, len(pairs))
     scores: list[Score] = []
     with _Progress(console, "scoring") as report:
-        of_pairs = scored(pairs, rows, options.translations, matchers=matchers, matched=matched)
+        of_pairs = scored(pairs, rows, options.translations, looks=looks, matched=matched)
         for done, of_pair in enumerate(of_pairs, 1):
             scores += of_pair
             report(done, len(pairs))
@@ -134,21 +137,30 @@ def _write(
     out = options.out
     tables.write_scores(out / "scores.csv", scores)
     tables.write_summary(out / "summary.csv", scores)
-    title = f"Rectification at {options.size}"
+    by = f", RAFT by {options.flow_network}" if options.flow_network else ""
+    title = f"Rectification at {options.size}{by}"
     text = tables.document(scores, unavailable, trained, title, options.translations)
     (out / "tables.md").write_text(text, encoding="utf-8")
 
 
-def _offset_matchers(names: Sequence[str], out: Path) -> dict[str, Offsets]:
-    """The matchers that measure what is left, by the names of their columns."""
-    matchers = {name.removesuffix("-paper"):
-                Offsets(out / "offsets" / f"{name}.jsonl", load_matcher(name))
-                for name in names}  # fmt: skip
-    if len(matchers) < len(names):
+def _looks(options: EvaluateOptions) -> list[Look]:
+    """The matchers that measure what is left, and the flow network if there is one."""
+    folder, names = options.out / "offsets", options.offsets
+    if len({_column(name) for name in names}) < len(names):
         raise UserError(
             f"--offsets {' '.join(names)}: settings of one matcher share a column; ask for one."
         )
-    return matchers
+    looks: list[Look] = [
+        Offsets(_column(name), load_matcher(name), Memory(folder / f"{name}.jsonl"))
+        for name in names
+    ]
+    if options.flow_network:
+        looks.append(VerticalFlow.by(options.flow_network, folder / "flow.jsonl"))
+    return looks
+
+
+def _column(matcher: str) -> str:
+    return matcher.removesuffix("-paper")
 
 
 def _require_sensible(options: EvaluateOptions) -> None:

@@ -135,7 +135,7 @@ def _find(name: str) -> Path:
             return path
     raise UserError(
         f"flow weights {name!r}: no such file, and none of that name are shipped. Train some with "
-        "python -m flowrect.train_flow --data shards/, or take torchvision's: --flow-weights "
+        "python -m flowrect.train_flow --data shards/, or take torchvision's, by the name of "
         "torchvision or torchvision-large where there is a network, else a copy of "
         f"{' or '.join(Path(w.url).name for w in TORCHVISION.values())}."
     )

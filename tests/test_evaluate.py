@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from odd_methods import SAID, load_odd
 from rich.console import Console
 from scipy.spatial.transform import Rotation
@@ -21,7 +22,7 @@ from flowrect.calibration import Calibration
 from flowrect.evaluate import EvaluateOptions, evaluate, main
 from flowrect.evaluation import predictions, report, seconds, stamp
 from flowrect.evaluation.delivered import Delivery, prior
-from flowrect.evaluation.offsets import Offset, Offsets
+from flowrect.evaluation.offsets import FLOW, FLOW_VALID, Memory, Offsets, VerticalFlow
 from flowrect.evaluation.predict import FAULT, Run, _matches, predict
 from flowrect.evaluation.predictions import Origin
 from flowrect.evaluation.scores import Score, scored
@@ -84,7 +85,7 @@ def delivery(data: Path) -> Delivery:
 
 
 def test_the_truth_has_no_error_and_no_vertical_flow(data):
-    for of_pair in scored(delivery(data).open(None), {}, ("gt",), matchers={}, matched=()):
+    for of_pair in scored(delivery(data).open(None), {}, ("gt",), looks=(), matched=()):
         truth = next(s for s in of_pair if s.method == "truth").figures
         assert truth["geodesic_deg"] == pytest.approx(0, abs=1e-9)
         assert truth["vertical_flow_px"] < 1e-4
@@ -94,7 +95,7 @@ def test_the_truth_has_no_error_and_no_vertical_flow(data):
 
 def test_angles_of_the_unrectified_pair_are_those_that_were_drawn(data):
     pairs = delivery(data).open(None)
-    for i, of_pair in enumerate(scored(pairs, {}, ("gt",), matchers={}, matched=())):
+    for i, of_pair in enumerate(scored(pairs, {}, ("gt",), looks=(), matched=())):
         pair = pairs[i].input
         relative = pair.turn_right.T @ pair.turn_left  # R_right_left of a rig without rotation
         drawn = np.rad2deg(np.arccos((np.trace(relative) - 1) / 2))
@@ -109,7 +110,7 @@ def test_a_wrong_translation_leaves_vertical_flow_even_to_the_true_rotation(data
     t_nominal = prior(pairs[0].input, "nominal")[:3, 3]
     row = predictions.Prediction(0, "", PoseEstimate(T[:3, :3], t_nominal))
     rows = {("m", t): {0: row} for t in ("gt", "nominal")}
-    of_pair = next(scored(pairs, rows, ("gt", "nominal"), matchers={}, matched=()))
+    of_pair = next(scored(pairs, rows, ("gt", "nominal"), looks=(), matched=()))
     given, own, truth = (
         next(s.figures for s in of_pair if (s.method, s.translation) == key)
         for key in (("m", "gt"), ("m", "nominal"), ("truth", "nominal"))
@@ -143,17 +144,66 @@ def test_images_that_were_matched_are_not_matched_again(tmp_path):
             np.zeros((3, 2))[: len(left)], np.array([[9.0, 1], [9, 2], [9, 6]])[: len(left)]
         )
 
+    def measured(images: Array, *, vertical: bool) -> list[float]:
+        found = looks.figures(*images, np.ones((4, 4), bool), vertical=vertical)
+        return [found["m_offset_px"], found["m_offset_median_px"]]
+
     path, images = tmp_path / "o" / "m.jsonl", np.zeros((2, 4, 4, 3), np.uint8)
-    first = Offsets(path, match)
-    assert first.of(*images, vertical=False) == Offset(3.0, 2.0)
-    assert first.of(*images, vertical=False) == Offset(3.0, 2.0)
+    looks = Offsets("m", match, Memory(path))
+    assert measured(images, vertical=False) == [3.0, 2.0]
+    assert measured(images, vertical=False) == [3.0, 2.0]
     path.write_text(path.read_text() + '\n{"key": "cut of')
     for _ in range(2):  # what follows a line that was cut off is read again
-        later = Offsets(path, match)
-        assert later.of(*images, vertical=False) == Offset(3.0, 2.0)
-        assert later.of(*images, vertical=True) == Offset(9.0, 9.0)
-        assert np.isnan(later.of(*images[:, :0], vertical=False).mean_px)
+        looks = Offsets("m", match, Memory(path))
+        assert measured(images, vertical=False) == [3.0, 2.0]
+        assert measured(images, vertical=True) == [9.0, 9.0]
+        assert np.isnan(measured(images[:, :0], vertical=False)[0])
     assert len(calls) == 3
+
+
+def test_flow_of_a_network_is_taken_across_epipolar_lines_of_all_and_of_filled_pixels(tmp_path):
+    calls = []
+
+    def flow(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        """du = 7, dv = what the left image has in its red, in 0…1."""
+        calls.append(1)
+        return torch.stack([torch.full_like(left[:, 0], 7), -left[:, 0]], dim=1)
+
+    left, valid = np.zeros((2, 4, 3), np.uint8), np.zeros((2, 4), bool)
+    left[:, :2, 0], valid[:, 1:] = 255, True
+    looks = VerticalFlow(flow, "of weights", Memory(tmp_path / "flow.jsonl"))
+    for _ in range(2):  # once measured, twice known
+        found = looks.figures(left, left, valid, vertical=False)
+        assert found[FLOW] == 0.5
+        assert found[FLOW_VALID] == pytest.approx(1 / 3)
+    assert looks.figures(left, left, valid, vertical=True) == {FLOW: 7.0, FLOW_VALID: 7.0}
+    assert np.isnan(looks.figures(left, left, ~valid & valid, vertical=False)[FLOW_VALID])
+    assert len(calls) == 3
+    replace(looks, weights="others").figures(left, left, valid, vertical=False)
+    assert len(calls) == 4
+
+
+def test_flow_sees_the_pair_as_each_method_rectifies_it(data, tmp_path):
+    """A network that sees 1 px where either image is black, else none: the mask leaves 0."""
+
+    def flow(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        black = ((left == 0) | (right == 0)).all(1).float()
+        return torch.stack([9 + black, black], dim=1)
+
+    pairs = replace(delivery(data), limit=1).open(None)
+    T = pairs[0].input.T_right_left
+    rows = {("m", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))}}
+    looks = [VerticalFlow(flow, "", Memory(tmp_path / "flow.jsonl"))]
+    of_pair = next(scored(pairs, rows, ("gt",), looks=looks, matched=(0,)))
+    of = {s.method: s.figures for s in of_pair}
+    assert of["m"][FLOW] == of["truth"][FLOW] > 0.01
+    assert of["m"][FLOW_VALID] == 0
+    assert of["unrectified"][FLOW] == of["unrectified"][FLOW_VALID] == 0
+    text = document(of_pair, {}, {}, "", ("gt",))
+    assert "| vertical flow by RAFT [px], all / filled |" in text
+    assert re.search(rf"\| m \| – \| {of['m'][FLOW]:.2f} / 0.00 \|", text)
+    assert "Vertical flow by RAFT is of 1 of the 1 pairs." in text
+    assert "RAFT" not in document([replace(s, figures={}) for s in of_pair], {}, {}, "", ("gt",))
 
 
 # --- failures
@@ -162,7 +212,7 @@ def test_images_that_were_matched_are_not_matched_again(tmp_path):
 def test_a_failure_is_scored_with_the_prior_and_counted(data):
     pairs = delivery(data).open(None)
     row = predictions.Prediction(0, pairs[0].input.name, None, "found nothing")
-    of_pair = next(scored(pairs, {("m", "gt"): {0: row}}, ("gt",), matchers={}, matched=()))
+    of_pair = next(scored(pairs, {("m", "gt"): {0: row}}, ("gt",), looks=(), matched=()))
     by_name = {s.method: s for s in of_pair}
     assert by_name["m"].failure == "found nothing"
     failed, left_over = (by_name[m].figures["geodesic_deg"] for m in ("m", "unrectified"))
@@ -221,7 +271,7 @@ def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):
     pairs = delivery(data).open(None)
     T = pairs[0].input.T_right_left
     half = {("half", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))}}
-    found = [s for of_pair in scored(pairs, half, ("gt",), matchers={}, matched=())
+    found = [s for of_pair in scored(pairs, half, ("gt",), looks=(), matched=())
              for s in of_pair]  # fmt: skip
     mark = f"half (1 of {len(pairs)} pairs)"
     text = document(found, {}, {"half": "96×48"}, "", ("gt",))
@@ -310,7 +360,7 @@ def test_a_wild_pose_is_a_failure_and_betters_no_mean(data):
     wild = predictions.Prediction(0, "", PoseEstimate(turn, np.array([-0.8, 0, 0])))
     none = predictions.Prediction(0, "", None, "found nothing")
     rows = {("m", "gt"): {0: wild}, ("none", "gt"): {0: none}}
-    by_name = {s.method: s for s in next(scored(pairs, rows, ("gt",), matchers={}, matched=()))}
+    by_name = {s.method: s for s in next(scored(pairs, rows, ("gt",), looks=(), matched=()))}
     assert by_name["m"].failure == "its rectified images have nothing in common"
     figures, left_over = by_name["m"].figures, by_name["none"].figures
     assert figures["geodesic_deg"] > 140
@@ -362,7 +412,7 @@ def test_failures_are_drawn_hollow_at_their_matches_and_the_prior_s_error(data):
     rows = {("m", "nominal"): {0: predictions.Prediction(0, "", right),
                                1: predictions.Prediction(1, "", None, "too few", 9),
                                2: predictions.Prediction(2, "", None, "raised")}}  # fmt: skip
-    found = [s for of_pair in scored(pairs, rows, ("nominal",), matchers={}, matched=())
+    found = [s for of_pair in scored(pairs, rows, ("nominal",), looks=(), matched=())
              for s in of_pair]  # fmt: skip
     lines = report._by_matches({"m": [s for s in found if s.method == "m"]}, pairs).axes[0].lines
     full, hollow, _ = lines
@@ -377,7 +427,7 @@ def test_overlays_show_the_truth_and_the_prior_where_a_method_failed(data):
     T = pairs[0].input.T_right_left
     rows = {("m", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))},
             ("failing", "gt"): {0: predictions.Prediction(0, "", None, "too few")}}  # fmt: skip
-    of_pair = next(scored(pairs, rows, ("gt",), matchers={}, matched=()))
+    of_pair = next(scored(pairs, rows, ("gt",), looks=(), matched=()))
     pair = pairs[0].metric
     poses = {s.method: report._pose(s, rows, pair) for s in of_pair}
     assert list(poses) == ["unrectified", "m", "failing", "truth"]
@@ -473,6 +523,7 @@ def test_a_limit_is_spread_over_the_set(data):
         (["--limit", "-1"], "--limit -1: expected at least 0"),
         (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),
         (["--offsets", "shift"], "shift"),
+        (["--flow-network", "no.pth"], "flow weights 'no.pth': no such file"),
         (["--size", "huge"], "--size huge: expected WIDTHxHEIGHT"),
         (["--size", "2048x1024"], r"less than 2048x1024; ask for a smaller --size"),
     ],

@@ -1,61 +1,68 @@
-"""What matches of a rectified pair say is left of it; measured once, and kept.
+"""What matches, or a flow network, say is left of a rectified pair; measured once, and kept.
 
-An offset is a function of two images and a matcher. OUT/offsets/MATCHER.jsonl holds one line for
-each pair of images that were matched, known by their digest: an interrupted or repeated scoring
-measures what is new alone, and images that two rows share, such as the truth's for both t, once.
+Such a figure is a function of two images and of what looks at them. OUT/offsets/NAME.jsonl holds
+one line for each pair of images that was looked at, known by their digest: an interrupted or
+repeated scoring measures what is new alone, and images that two rows share, such as the truth's for
+both t, once.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from flowrect.evaluation import stamp
+from flowrect.flow_network import load_flow
+from flowrect.losses import across_epipolar_lines
 from flowrect.matches import Matcher
 from flowrect.sample import Image
 
+FLOW, FLOW_VALID = "raft_flow_px", "raft_flow_valid_px"
+"""mean |vertical flow| by a flow network: of all pixels, and of those that both images fill"""
+
+
+class Look(Protocol):
+    """Figures [px] of rectified images (H, W, 3), both filled where ``valid`` (H, W)."""
+
+    def figures(
+        self, left: Image, right: Image, valid: NDArray[np.bool_], *, vertical: bool
+    ) -> Mapping[str, float]: ...
+
 
 @dataclass(frozen=True)
-class Offset:
-    """|dy| of all matches of a rectified pair, |dx| of a vertical rig [px]; NaN without any."""
-
-    mean_px: float
-    """as the paper has it"""
-    median_px: float
-
-
-@dataclass(frozen=True)
-class Offsets:
-    """A matcher that measures what is left, and remembers it in a file."""
+class Memory:
+    """Figures by key, in a file."""
 
     path: Path
-    match: Matcher
-    _known: dict[str, Offset] = field(default_factory=dict)
+    _known: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.path.exists():
             for line in self.path.read_text(encoding="utf-8").splitlines():
                 self._remember(line)
 
-    def of(self, left: Image, right: Image, *, vertical: bool) -> Offset:
-        """Of rectified images (H, W, 3)."""
-        key = _digest(left, right, vertical)
+    def of(self, key: str, measure: Callable[[], dict[str, float]]) -> dict[str, float]:
+        """What is known of the key, or is measured now."""
         if key not in self._known:
-            self._known[key] = _measured(self.match, left, right, vertical)
-            self._append({"key": key, **asdict(self._known[key])})
+            self._known[key] = measure()
+            self._append({"key": key, **self._known[key]})
         return self._known[key]
 
     def _remember(self, line: str) -> None:
         try:
             row = json.loads(line)
-            key = row.pop("key")
-            self._known[key] = Offset(**row)
-        except (ValueError, KeyError, TypeError):  # cut off by a crash: it is measured again
-            return
+            self._known[row.pop("key")] = row
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return  # cut off by a crash: it is measured again
 
     def _append(self, row: dict[str, object]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,14 +70,78 @@ class Offsets:
             file.write("\n" + json.dumps(row))  # begins a line, whatever the last one lacks
 
 
-def _digest(left: Image, right: Image, vertical: bool) -> str:
-    parts = (stamp.of_matchers().encode(), bytes([vertical]), left.tobytes(), right.tobytes())
-    return hashlib.sha256(b"".join(parts)).hexdigest()[:24]
+@dataclass(frozen=True)
+class Offsets:
+    """|dy| of all matches, |dx| of a vertical rig: mean, as the paper has it, and median.
+
+    NaN without any match.
+    """
+
+    name: str
+    """of the columns"""
+    match: Matcher
+    memory: Memory
+
+    def figures(
+        self, left: Image, right: Image, valid: NDArray[np.bool_], *, vertical: bool
+    ) -> Mapping[str, float]:
+        """As Look; the black of what is not filled has no matches."""
+        key = digest(stamp.of_matchers().encode(), bytes([vertical]), left, right)
+        return self.memory.of(key, lambda: self._measured(left, right, vertical))
+
+    def _measured(self, left: Image, right: Image, vertical: bool) -> dict[str, float]:
+        matches = self.match(left, right)
+        across = np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1])
+        known = len(across) > 0
+        return {
+            f"{self.name}_offset_px": float(across.mean()) if known else np.nan,
+            f"{self.name}_offset_median_px": float(np.median(across)) if known else np.nan,
+        }
 
 
-def _measured(match: Matcher, left: Image, right: Image, vertical: bool) -> Offset:
-    matches = match(left, right)
-    across = np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1])
-    if not len(across):
-        return Offset(float("nan"), float("nan"))
-    return Offset(float(across.mean()), float(np.median(across)))
+Flow = Callable[[Tensor, Tensor], Tensor]
+"""images (B, 3, H, W) in 0…1 to flow (B, 2, H, W) [px] from left to right"""
+
+
+@dataclass(frozen=True)
+class VerticalFlow:
+    """Mean |vertical flow| by a network, |horizontal flow| of a vertical rig."""
+
+    flow: Flow
+    weights: str
+    """their digest"""
+    memory: Memory
+
+    @staticmethod
+    def by(name: str, path: Path) -> VerticalFlow:
+        """By the network of ``load_flow``; UserError if there is none of that name."""
+        network = load_flow(name)
+        weights = digest(*(x.numpy() for x in network.state_dict().values()))
+        return VerticalFlow(network.flow, weights, Memory(path))
+
+    def figures(
+        self, left: Image, right: Image, valid: NDArray[np.bool_], *, vertical: bool
+    ) -> Mapping[str, float]:
+        """As Look."""
+        key = digest(self.weights.encode(), bytes([vertical]), left, right, valid)
+        return self.memory.of(key, lambda: self._measured(left, right, valid, vertical))
+
+    @torch.inference_mode()
+    def _measured(
+        self, left: Image, right: Image, valid: NDArray[np.bool_], vertical: bool
+    ) -> dict[str, float]:
+        first, second = (torch.from_numpy(x).permute(2, 0, 1)[None] / 255 for x in (left, right))
+        flow = self.flow(first, second).permute(0, 2, 3, 1)
+        across = across_epipolar_lines(flow, torch.tensor([vertical]))[0].abs()
+        return {
+            FLOW: across.mean().item(),
+            FLOW_VALID: across[torch.from_numpy(valid)].mean().item(),
+        }
+
+
+def digest(*parts: bytes | NDArray[np.generic]) -> str:
+    """Of bytes and arrays, one after the other."""
+    whole = hashlib.sha256()
+    for part in parts:
+        whole.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
+    return whole.hexdigest()[:24]

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from flowrect.drectify import Rectification, rectify, warp
 from flowrect.evaluation.delivered import Delivered, Translation, prior
-from flowrect.evaluation.offsets import Offsets
+from flowrect.evaluation.offsets import Look
 from flowrect.evaluation.predictions import Prediction
 from flowrect.methods import PoseEstimate
 from flowrect.metrics import (
@@ -68,19 +68,19 @@ def scored(
     rows: Rows,
     translations: Sequence[Translation],
     *,
-    matchers: Mapping[str, Offsets],
+    looks: Sequence[Look],
     matched: Sequence[int],
 ) -> Iterator[list[Score]]:
     """Scores of all methods, pair by pair.
 
     Args:
-      matchers: by the name of their columns; they measure what is left between rectified images.
+      looks: they measure what is left between rectified images.
       matched: indices of the pairs for which they do.
     """
     for i in range(len(pairs)):
         prepared = pairs[i]
         batch, pair = collate([prepared]), prepared.input
-        look = dict(matchers) if i in set(matched) else {}
+        look = looks if i in set(matched) else ()
         found = []
         for translation in translations:
             start = prior(pair, translation)
@@ -108,16 +108,16 @@ def _scored(
     row: Prediction,
     nominal: PoseEstimate,
     translation: Translation,
-    look: Mapping[str, Offsets],
+    looks: Sequence[Look],
 ) -> tuple[dict[str, float], str]:
     """Figures, and why they, or those in pixels, are the prior's if they are."""
     as_it_is = row.estimate is nominal
     if row.estimate is None:
-        return _figures(batch, nominal, translation, look), row.failure
-    figures = _figures(batch, row.estimate, translation, look, as_it_is=as_it_is)
+        return _figures(batch, nominal, translation, looks), row.failure
+    figures = _figures(batch, row.estimate, translation, looks, as_it_is=as_it_is)
     if batch.truth is not None and np.isnan(figures["vertical_flow_px"]):
         own = {name: figures[name] for name in ANGLES}
-        left_over = _figures(batch, nominal, translation, look) | own
+        left_over = _figures(batch, nominal, translation, looks) | own
         return left_over, "its rectified images have nothing in common"
     return figures, ""
 
@@ -131,7 +131,7 @@ def _figures(
     batch: Batch,
     estimate: PoseEstimate,
     translation: Translation,
-    matchers: Mapping[str, Offsets],
+    looks: Sequence[Look],
     *,
     as_it_is: bool = False,
 ) -> dict[str, float]:
@@ -157,7 +157,7 @@ def _figures(
         "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
     }  # fmt: skip
     if as_it_is:
-        error_now = (torch.cat(views[:2]) - torch.cat(_views(batch, exact))).abs().mean()
+        error_now = (torch.cat(views[:2]) - torch.cat(_views(batch, exact)[:2])).abs().mean()
         found |= {"mae_paper": 2 * error_now.item(), "mae_valid": np.nan}
     if batch.truth is not None:
         some = batch.truth.subset(slice(None, None, BIAS_EVERY))
@@ -167,12 +167,13 @@ def _figures(
             if as_it_is
             else exact_vertical_flow(rect, batch.truth).item()
         )
-    if not matchers:
+    if not looks:
         return found
-    left, right = (_image(x) for x in (views[:2] if as_it_is else _views(batch, rect)))
-    for name, matcher in matchers.items():
-        offset = matcher.of(left, right, vertical=bool(nominal.vertical))
-        found |= {f"{name}_offset_px": offset.mean_px, f"{name}_offset_median_px": offset.median_px}
+    everywhere = torch.ones(METRIC_WH[::-1], dtype=torch.bool)
+    *both, valid = (*views[:2], everywhere) if as_it_is else _views(batch, rect)
+    left, right = map(_image, both)
+    for look in looks:
+        found |= look.figures(left, right, valid.numpy(), vertical=bool(nominal.vertical))
     return found
 
 
@@ -180,11 +181,15 @@ def _tensor(x: np.ndarray) -> Tensor:
     return torch.from_numpy(np.asarray(x, dtype=np.float64))[None]
 
 
-def _views(batch: Batch, rect: Rectification) -> tuple[Tensor, Tensor]:
-    """Both images (1, 3, h, w), rectified."""
-    left, _ = warp(batch.left_metric, batch.K_left_metric, rect.R_left, rect.K_new, METRIC_WH)
-    right, _ = warp(batch.right_metric, batch.K_right_metric, rect.R_right, rect.K_new, METRIC_WH)
-    return left, right
+def _views(batch: Batch, rect: Rectification) -> tuple[Tensor, Tensor, Tensor]:
+    """Both images (1, 3, h, w), rectified, and where (h, w) both are filled."""
+    left, filled_left = warp(
+        batch.left_metric, batch.K_left_metric, rect.R_left, rect.K_new, METRIC_WH
+    )
+    right, filled_right = warp(
+        batch.right_metric, batch.K_right_metric, rect.R_right, rect.K_new, METRIC_WH
+    )
+    return left, right, (filled_left & filled_right)[0, 0]
 
 
 def _image(x: Tensor) -> Image:

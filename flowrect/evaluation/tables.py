@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from flowrect.evaluation import seconds
+from flowrect.evaluation.offsets import FLOW, FLOW_VALID
 from flowrect.evaluation.scores import Score
 from flowrect.metrics import Summary, summarise
 
@@ -147,8 +148,10 @@ def columns(names: Sequence[str]) -> dict[str, Cell]:
         f"{m} offset [px], mean / median": _both(f"{m}_offset_px", f"{m}_offset_median_px")
         for m in offsets
     }
+    by_network = {"vertical flow by RAFT [px], all / filled": _both(FLOW, FLOW_VALID)}
     return {
         **of_matchers,
+        **(by_network if FLOW in names else {}),
         "vertical flow [px]": _mean_and_interval("vertical_flow_px"),
         "median": _median("vertical_flow_px"),
         "MAE, paper": _mean("mae_paper"),
@@ -212,16 +215,21 @@ def main_table(
 
 
 def offset_notes(scores: Sequence[Score]) -> list[str]:
-    """Which pairs the offsets of each matcher are of."""
+    """Which pairs the offsets of each matcher, and the flow of a network, are of."""
     total, notes = len(pairs_of(scores)), []
     for name in figure_names(scores):
+        matched = sorted(pairs_of(s for s in scores if name in s.figures))
+        which = "" if len(matched) == total else f": {', '.join(map(str, matched))}"
+        of = f"of {len(matched)} of the {total} pairs{which}."
         if name.endswith("_offset_px"):
-            matched = sorted(pairs_of(s for s in scores if name in s.figures))
-            which = "" if len(matched) == total else f": {', '.join(map(str, matched))}"
             notes.append(
-                f"{name.removesuffix('_offset_px')} offsets are of {len(matched)} of the {total} "
-                f"pairs{which}. A pair without any match after rectification is in no mean; how "
-                "many there are stands in brackets."
+                f"{name.removesuffix('_offset_px')} offsets are {of} A pair without any match "
+                "after rectification is in no mean; how many there are stands in brackets."
+            )
+        if name == FLOW:
+            notes.append(
+                f"Vertical flow by RAFT is {of} All pixels of the rectified images are those of "
+                "the paper, black borders included; filled are those that both images fill."
             )
     return notes
 
