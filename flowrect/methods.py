@@ -23,7 +23,7 @@ import numpy as np
 from flowrect.estimate import Calibrator, load_model
 from flowrect.matchers import LEARNED, MATCHERS, load_matcher
 from flowrect.matches import Matches
-from flowrect.rivals.config import RIVALS
+from flowrect.rivals.config import RIVALS, SharedConfig
 from flowrect.sample import Image
 from flowrect.solvers import SOLVERS, NoSolution, Solver
 from flowrect.weights import SHIPPED
@@ -217,10 +217,11 @@ def load_method(name: str) -> Method:
 
 
 def training_of(name: str) -> str:
-    """Input size and hours of the network that a method asks, "–" where there is none."""
+    """What the network that a method asks sees, and its hours; "–" where there is none."""
     method = load_method(name)
     network = method.start if isinstance(method, FromMatches) else method
     if not isinstance(network, Network):
         return "–"
-    (w, h), hours = network.model.network.config.input_wh, network.model.card.hours
+    config, hours = network.model.network.config, network.model.card.hours
+    w, h = config.network_wh if isinstance(config, SharedConfig) else config.input_wh
     return f"{w}×{h}" + (f", {hours:.1f} h" if hours else "")

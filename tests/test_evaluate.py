@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from tiny_network import TINY_PAPER, network, road_set
 
 from flowrect import evaluate as command
 from flowrect.calibration import Calibration
+from flowrect.config import SMALL
 from flowrect.evaluate import EvaluateOptions, evaluate, main
 from flowrect.evaluation import predictions, report, seconds, stamp
 from flowrect.evaluation.delivered import Delivery, prior
@@ -29,8 +31,9 @@ from flowrect.evaluation.scores import Score, scored
 from flowrect.evaluation.tables import document, main_table
 from flowrect.formats import opencv
 from flowrect.matches import Matches
-from flowrect.methods import METHODS, TABLE, PoseEstimate, load_method
+from flowrect.methods import METHODS, TABLE, Network, PoseEstimate, load_method, training_of
 from flowrect.rectify import write_rgb
+from flowrect.rivals.config import ViTPoseConfig
 from flowrect.solvers import NoSolution
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
@@ -501,6 +504,14 @@ def test_the_default_is_the_whole_table():
     for row in ("sift-paper+loransac-paper", "superglue+magsac", "aliked+5dof", "raft+5dof",
                 "rpnet", "directionnet", "vitpose", "network+5dof"):  # fmt: skip
         assert row in methods
+
+
+def test_training_of_a_rival_names_the_size_that_its_images_are_squeezed_to(monkeypatch):
+    config = ViTPoseConfig(input_wh=(448, 224), network_wh=(256, 128))
+    model = SimpleNamespace(network=SimpleNamespace(config=config), card=Card(preset="vitpose", hours=2.0))
+    monkeypatch.setitem(METHODS, "vitpose", lambda: Network(model))
+    assert training_of("vitpose") == "256×128, 2.0 h"
+    assert training_of("network").startswith("{}×{}".format(*SMALL.input_wh))
 
 
 def test_a_path_of_weights_may_have_a_plus(tmp_path):
