@@ -73,7 +73,7 @@ class EvaluateOptions:
     time_limit_s: float = 120.0
     """that a method may take for a pair; then it is stopped, which counts as a failure"""
     jobs: int = 1
-    """processes that predict"""
+    """processes that predict, each of which takes whole pairs"""
     root: Path | None = None
     """folder that the paths of a list are relative to"""
     out: Path = Path("results")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+from concurrent.futures import Future
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -270,6 +272,32 @@ def test_whatever_a_method_does_to_one_pair_the_others_are_predicted(wall, tmp_p
     assert not run.path("broken", "gt").exists()
 
 
+def test_all_methods_see_a_pair_in_one_process(wall, tmp_path, monkeypatch):
+    by_pair: dict[int, set[int]] = {}
+
+    class Pool(nullcontext):
+        """Answers at once, as a process would, and says who was asked."""
+
+        def __init__(self, max_workers: int, context: object) -> None:
+            super().__init__(self)
+            assert max_workers == 1
+
+        def schedule(self, function: object, args: tuple, timeout: float) -> Future:
+            *_, i, _ = args
+            by_pair.setdefault(i, set()).add(id(self))
+            future: Future = Future()
+            future.set_result(predictions.Prediction(i, "", None, "as usual"))
+            return future
+
+    monkeypatch.setattr("flowrect.evaluation.predict.ProcessPool", Pool)
+    methods = tuple("abcd")
+    run = Run(Delivery(wall, "all", (256, 128), 0, 1.0), methods, ("gt",), tmp_path, jobs=2)
+    predict(run)
+    assert [len(by_pair[i]) for i in range(3)] == [1, 1, 1]
+    assert len(set.union(*by_pair.values())) == 2
+    assert [len(rows_of(run, m)) for m in methods] == [3, 3, 3, 3]
+
+
 def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):
     pairs = delivery(data).open(None)
     T = pairs[0].input.T_right_left
@@ -508,7 +536,9 @@ def test_the_default_is_the_whole_table():
 
 def test_training_of_a_rival_names_the_size_that_its_images_are_squeezed_to(monkeypatch):
     config = ViTPoseConfig(input_wh=(448, 224), network_wh=(256, 128))
-    model = SimpleNamespace(network=SimpleNamespace(config=config), card=Card(preset="vitpose", hours=2.0))
+    model = SimpleNamespace(
+        network=SimpleNamespace(config=config), card=Card(preset="vitpose", hours=2.0)
+    )
     monkeypatch.setitem(METHODS, "vitpose", lambda: Network(model))
     assert training_of("vitpose") == "256×128, 2.0 h"
     assert training_of("network").startswith("{}×{}".format(*SMALL.input_wh))

@@ -14,8 +14,12 @@ import time
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +57,7 @@ class Run:
     time_limit_s: float = 120.0
     """that a method may take for one pair, the first time with what it loads"""
     jobs: int = 1
-    """processes"""
+    """processes, each of which takes whole pairs"""
 
     def path(self, method: str, translation: Translation) -> Path:
         """Where a method's predictions are."""
@@ -124,28 +128,45 @@ def _flush(files: Sequence[_File]) -> None:
             predictions.write(file.path, file.rows.values(), file.origin)
 
 
+@dataclass
+class _Lane:
+    """A process and its tasks: those of one pair, so that it is read and matched in one process."""
+
+    pool: ProcessPool
+    tasks: deque[tuple[int, _File]] = field(default_factory=deque)
+
+
 def _predicted(
     run: Run, data: str, todo: Sequence[tuple[int, _File]], unavailable: dict[str, str], load: Load
 ) -> Iterator[tuple[_File, Prediction]]:
-    """Predictions as they come; pair by pair, so that each pair is read once."""
+    """Predictions as they come, pair by pair."""
     folder = run.out / "matches" / data
-    queue, running = deque(todo), deque[tuple[Any, int, _File]]()
+    pairs = deque(deque(tasks) for _, tasks in groupby(todo, key=itemgetter(0)))
+    running: dict[Any, tuple[int, _File, _Lane]] = {}
+
+    def go_on(lane: _Lane) -> None:
+        while lane.tasks or pairs:
+            lane.tasks = lane.tasks or pairs.popleft()
+            i, file = lane.tasks.popleft()
+            if file.method not in unavailable:
+                args = (load, run.delivery, file.method, file.translation, i, folder)
+                future = lane.pool.schedule(_predict_one, args=args, timeout=run.time_limit_s)
+                running[future] = i, file, lane
+                return
+
     context = multiprocessing.get_context("spawn")
-    with ProcessPool(max_workers=run.jobs, context=context) as pool:
-        while queue or running:
-            while queue and len(running) < run.jobs:
-                i, file = queue.popleft()
-                if file.method not in unavailable:
-                    args = (load, run.delivery, file.method, file.translation, i, folder)
-                    future = pool.schedule(_predict_one, args=args, timeout=run.time_limit_s)
-                    running.append((future, i, file))
-            if running:
-                future, i, file = running.popleft()
+    with ExitStack() as stack:
+        for _ in range(run.jobs):
+            go_on(_Lane(stack.enter_context(ProcessPool(max_workers=1, context=context))))
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                i, file, lane = running.pop(future)
                 row = _settled(future, i, run.time_limit_s)
                 if isinstance(row, Prediction):
                     yield file, row
                 else:
                     unavailable[file.method] = row
+                go_on(lane)
 
 
 def _settled(future: Any, i: int, time_limit_s: float) -> Prediction | str:
