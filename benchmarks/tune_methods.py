@@ -23,7 +23,7 @@ from flowrect.evaluation.delivered import Delivery, prior
 from flowrect.matchers import dis, load_matcher, sift
 from flowrect.matches import Matcher
 from flowrect.solvers import NoSolution, Solver
-from flowrect.solvers.essential import Ransac, lo_ransac, magsac
+from flowrect.solvers.essential import Ransac, lo_ransac, magsac, usac
 from flowrect.solvers.fit import FIVE_DOF, fit
 from simgen.errors import UserError
 from simgen.geometry import vector_from_rotation
@@ -45,6 +45,7 @@ THRESHOLDS = (0.25, 0.5, 1.0, 2.0)
 FITS = {"5dof": partial(fit, options=FIVE_DOF)}
 RANSACS: dict[str, Solver] = {
     **{f"loransac {t:g}": partial(lo_ransac, options=Ransac(t)) for t in THRESHOLDS},
+    **{f"usac {t:g}": partial(usac, options=Ransac(t)) for t in THRESHOLDS},
     **{f"magsac {t:g}": partial(magsac, options=Ransac(t)) for t in THRESHOLDS},
 }
 SETTINGS: dict[str, Matcher] = {

@@ -192,7 +192,7 @@ METHODS: dict[str, Callable[[], Method]] = {
 """made when they are asked for: some take weights"""
 
 TABLE = (
-    *(f"sift{at}+{s}{at}" for at in ("-paper", "") for s in ("loransac", "magsac")),
+    *(f"sift{at}+{s}{at}" for at in ("-paper", "") for s in ("loransac", "usac", "magsac")),
     "sift+5dof",
     *(f"{m}+{s}" for m in LEARNED if m != "raft" for s in ("loransac", "magsac", "5dof")),
     "dis+5dof",

@@ -529,8 +529,9 @@ def test_the_default_is_the_whole_table():
     methods = EvaluateOptions(Path()).methods
     assert methods == TABLE
     assert set(TABLE) <= set(METHODS)
-    for row in ("sift-paper+loransac-paper", "superglue+magsac", "aliked+5dof", "raft+5dof",
-                "rpnet", "directionnet", "vitpose", "network+5dof"):  # fmt: skip
+    for row in ("sift-paper+loransac-paper", "sift+usac", "sift-paper+usac-paper",
+                "superglue+magsac", "aliked+5dof", "raft+5dof", "rpnet",
+                "directionnet", "vitpose", "network+5dof"):  # fmt: skip
         assert row in methods
 
 

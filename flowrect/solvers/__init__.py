@@ -39,8 +39,10 @@ too far off"""
 # Thresholds were swept on training frames, see benchmarks/tune_methods.py.
 SOLVERS: dict[str, Solver] = {
     "loransac": supported(partial(essential.lo_ransac, options=Ransac(threshold_px=0.5))),
+    "usac": supported(partial(essential.usac, options=Ransac(threshold_px=0.5))),
     "magsac": supported(partial(essential.magsac, options=Ransac(threshold_px=1.0))),
     "loransac-paper": partial(essential.lo_ransac, options=PAPER),
+    "usac-paper": partial(essential.usac, options=PAPER),
     "magsac-paper": partial(essential.magsac, options=PAPER),
     "3dof": supported(partial(fit, options=THREE_DOF)),
     "5dof": supported(partial(fit, options=FIVE_DOF)),

@@ -1,6 +1,6 @@
 """The essential matrix from matches and known intrinsics, robustly; R and t's direction from it.
 
-Both solvers take thresholds in pixels, see neither prior nor rig, and return a pose whose t has the
+All solvers take thresholds in pixels, see neither prior nor rig, and return a pose whose t has the
 prior's length.
 """
 
@@ -61,13 +61,26 @@ def magsac(
     matches: Matches, K_left: Array, K_right: Array, prior: Array, options: Ransac
 ) -> Solution:
     """MAGSAC++ of OpenCV (D. Barath et al., CVPR 2020)."""
+    return _by_opencv(matches, K_left, K_right, prior, options, cv2.USAC_MAGSAC)
+
+
+def usac(
+    matches: Matches, K_left: Array, K_right: Array, prior: Array, options: Ransac
+) -> Solution:
+    """LO-RANSAC of OpenCV (R. Raguram et al., *USAC*, TPAMI 2013), as it sets it by default."""
+    return _by_opencv(matches, K_left, K_right, prior, options, cv2.USAC_DEFAULT)
+
+
+def _by_opencv(
+    matches: Matches, K_left: Array, K_right: Array, prior: Array, options: Ransac, method: int
+) -> Solution:
     require_matches(matches, MIN_MATCHES)
-    K = np.eye(3) if options.normalised else K_left  # MAGSAC's own bounds are in pixels of K
+    K = np.eye(3) if options.normalised else K_left  # OpenCV's own bounds are in pixels of K
     left, right = (x[:, :2] @ K[:2, :2].T + K[:2, 2] for x in matches.rays(K_left, K_right))
     cv2.setRNGSeed(options.seed)
     try:
         E, inliers = cv2.findEssentialMat(
-            left, right, K, method=cv2.USAC_MAGSAC, prob=options.confidence,
+            left, right, K, method=method, prob=options.confidence,
             threshold=options.threshold_px, maxIters=options.iterations,
         )  # fmt: skip
     except cv2.error as error:
