@@ -9,6 +9,7 @@ the seconds that the method itself took, as its predictions have them. The bar i
 from __future__ import annotations
 
 import csv
+import math
 import platform
 import subprocess
 import sys
@@ -42,7 +43,7 @@ def main(options: Options) -> None:
         whole = time.perf_counter() - start
         with (Path(folder) / "scores.csv").open(newline="") as file:
             rows = [row for row in csv.DictReader(file) if row["method"] == options.method]
-    own = sum(float(row["seconds"]) for row in rows)
+    own = sum(s for row in rows if math.isfinite(s := float(row["seconds"])))
     print(
         f"{len(rows)} pairs on {platform.processor() or platform.machine()}: {whole:.0f} s, of "
         f"which {options.method} took {own:.0f} s; the harness is {1 - own / whole:.1%}"
