@@ -82,8 +82,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     """
     _require_sensible(options)
     started = time.monotonic()
-    # Without cpu=True several processes on a CPU would not find each other: one copy each.
-    accelerator = Accelerator(mixed_precision=options.precision, cpu=not torch.cuda.is_available())
+    accelerator = make_accelerator(options)
     make_folder(options.out)
     torch.manual_seed(options.loading.seed)
     task = make_task()
@@ -243,6 +242,11 @@ class Run:
 
 
 # --- before the loop ---------------------------------------------------------------------------
+
+
+def make_accelerator(options: LoopOptions) -> Accelerator:
+    """Told ``cpu=True``, or several processes on a CPU would not find each other: one copy each."""
+    return Accelerator(mixed_precision=options.precision, cpu=not torch.cuda.is_available())
 
 
 def open_pairs(options: LoopOptions) -> Pairs[Any]:
