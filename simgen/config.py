@@ -53,7 +53,8 @@ class RenderOptions:
     size: str = ""
     """image size WIDTHxHEIGHT [px]; the rig's native size if not given (default rig: 2560x1440)"""
     spp: int = 2
-    """path-traced samples per pixel, a power of two; more is slower and less noisy"""
+    """path-traced samples per pixel, a power of two; more is slower and less noisy. Where lamps burn,
+    twice as many are taken"""
     denoise: bool = True
     """whether Open Image Denoise cleans the irradiance"""
     sensor: Literal["camera", "ideal"] = "camera"
@@ -76,8 +77,9 @@ class RenderOptions:
     at most 21"""
     frames_per_shard: int = 16
     """rig frames per HDF5 file"""
-    workers: int = 1
-    """processes that render at the same time; the cores are divided among them"""
+    workers: int | None = None
+    """processes that render at the same time and share the cores; one per core if not given, as
+    far as memory goes"""
     recycle: int = 50
     """frames after which a worker process is replaced by a fresh one"""
     variant: str = "auto"
@@ -201,9 +203,10 @@ def resolve(options: RenderOptions, variant: str) -> Job:
 def _check_numbers(options: RenderOptions) -> None:
     positive = ("n", "frames_per_scene", "frames_per_shard", "workers", "recycle", "spp")
     for name in positive:
-        if getattr(options, name) < 1:
+        value = getattr(options, name)
+        if value is not None and value < 1:
             flag = "--" + name.replace("_", "-")
-            raise UserError(f"{flag} {getattr(options, name)}: expected a whole number from 1 on.")
+            raise UserError(f"{flag} {value}: expected a whole number from 1 on.")
     if options.frames_per_scene > MAX_FRAMES_PER_SCENE:
         raise UserError(
             f"--frames-per-scene {options.frames_per_scene}: expected at most "
@@ -221,7 +224,7 @@ def _check_numbers(options: RenderOptions) -> None:
     if options.sensor not in SENSORS:
         raise UserError(f"--sensor {options.sensor}: expected one of {', '.join(SENSORS)}.")
     cores = os.cpu_count() or 1
-    if options.workers > 4 * cores:
+    if options.workers is not None and options.workers > 4 * cores:
         raise UserError(f"--workers {options.workers}: this machine has {cores} cores.")
 
 

@@ -12,12 +12,14 @@ import psutil
 
 from simgen import __version__, engine
 from simgen.errors import UserError
+from simgen.workers import memory_gb as memory_gb_of_worker
+from simgen.workers import num_workers
 
 PACKAGES = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "scipy", "opencv-python-headless",
             "shapely", "h5py", "zlib-ng", "hdf5plugin", "OpenEXR", "tyro", "pydantic",
             "pebble")  # fmt: skip
-LOW_MEMORY_GB = 6.0
-"""What one worker needs at 2560x1440."""
+FULL_SIZE = ((2560, 1440), 3)
+"""of the default rig's images, and their number"""
 
 
 def diagnosis() -> str:
@@ -25,7 +27,8 @@ def diagnosis() -> str:
     lines = [f"simgen {__version__}, Python {platform.python_version()}, {platform.platform()}"]
     lines += _engine_lines()
     memory = psutil.virtual_memory()
-    lines.append(f"cores     {os.cpu_count()}")
+    many = num_workers(*FULL_SIZE, frames=os.cpu_count() or 1)
+    lines.append(f"cores     {os.cpu_count()}; full-size frames by {many} workers if not told")
     lines.append(
         f"memory    {memory.total / 2**30:.1f} GiB, {memory.available / 2**30:.1f} GiB available"
     )
@@ -72,8 +75,9 @@ def _advice(memory_gb: float, disk_gb: float) -> list[str]:
             advice.append(f"3 to 4 times faster with a newer LLVM: {engine.install_hint()}")
     except UserError as error:
         advice.append(str(error))
-    if memory_gb < LOW_MEMORY_GB:
-        advice.append(f"less than {LOW_MEMORY_GB:g} GiB of memory: render at a smaller --size")
+    needed = memory_gb_of_worker(*FULL_SIZE)
+    if memory_gb < needed:
+        advice.append(f"less than {needed:.1f} GiB of memory: render at a smaller --size")
     if disk_gb < 20:
         advice.append("less than 20 GB free: choose another disk with --out for a large set")
     if _version("hdf5plugin") == "(not installed)":

@@ -57,6 +57,10 @@ KERNEL_FOLDER = Path.home() / ".drjit"
 """where Dr.Jit leaves the kernels that it compiled, if it can"""
 NIGHT_LAMPS = 17
 """light slots of a night scene, one of them dark, see scene.load"""
+NIGHT_SAMPLES = 2
+"""Where lamps burn, so many times the samples: each picks one of several small lights. Of a country
+road that only headlights reach, 2 samples a pixel left 1.8 times the true power in an octave, 4
+left 1.2."""
 
 
 class Stopwatch:
@@ -171,11 +175,11 @@ def radiance(
     """Linear radiance (H, W, 3) of every camera, haze, spray and rain included."""
     air = daylight.airlight(sky)
     visibility_m = plan.spec.sky.visibility_m
-    clear = []
+    clear, spp = [], samples_per_pixel(plan, job)
     for number, camera in enumerate(plan.posed.cameras):
         seed = int(stream(job.seed, plan.index, plan.attempt, f"paths {number}").integers(1 << 31))
         image, features, seconds = render.render(
-            loaded, camera, spp=job.spp, denoise=job.denoise, seed=seed
+            loaded, camera, spp=spp, denoise=job.denoise, seed=seed
         )
         clear.append((image, features, camera))
         for stage, spent in asdict(seconds).items():
@@ -193,6 +197,11 @@ def radiance(
         return images
     with watch("rain"):
         return _in_rain(plan, job, plan.shower, images, distances, sky)
+
+
+def samples_per_pixel(plan: FramePlan, job: Job) -> int:
+    """Of the path tracer."""
+    return job.spp * (NIGHT_SAMPLES if daylight.is_night(plan.spec.sky) else 1)
 
 
 def _foggy_night(sky: SkySpec) -> bool:
@@ -364,7 +373,7 @@ def _spec_json(
         "halos": {"g": halos.FORWARD, "lights": halos.MOST_LIGHTS} if _foggy_night(sky) else None,
         "sensor": job.sensor,
         "exposure": [asdict(e) for e in exposures],
-        "samples": {"spp": job.spp, "features_spp": render.FEATURE_SPP,
+        "samples": {"spp": samples_per_pixel(plan, job), "features_spp": render.FEATURE_SPP,
                     "max_depth": render.MAX_DEPTH},
         "denoiser": "Open Image Denoise, fast, on irradiance" if job.denoise else "none",
         "engine": job.variant,

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -209,6 +210,10 @@ def _lifted(albedo: Image, coverage: Image) -> Image:
 
 
 def _rendered(scene: Scene, integrator: dict[str, Any], sensor: Any, spp: int, seed: int) -> Image:
-    image = mi.render(scene.mi_scene, integrator=mi.load_dict(integrator), sensor=sensor, spp=spp,
-                      seed=seed & 0xFFFFFFFF)  # fmt: skip
-    return np.array(image, dtype=np.float32)
+    image = np.array(
+        mi.render(scene.mi_scene, integrator=mi.load_dict(integrator), sensor=sensor, spp=spp,
+                  seed=seed & 0xFFFFFFFF),
+        dtype=np.float32,
+    )  # fmt: skip
+    dr.flush_malloc_cache()  # 0.4 GiB at 2560x1440, which the denoiser can have
+    return image

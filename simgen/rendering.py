@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from simgen.config import Job, RenderOptions, resolve
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
 from simgen.survey import read_log
+from simgen.workers import num_workers, threads_of_worker
 
 UNITS = "metres, pixels, degrees where a name ends in _deg"
 CONVENTIONS = (
@@ -35,7 +35,7 @@ _SECONDS_FIXED = 7.0
 _SECONDS_PER_CAMERA_MEGAPIXEL = 3.0
 _SECONDS_PER_MEGASAMPLE = 1.25
 _SCALAR_FACTOR = 4.0
-_GAIN_OF_WORKERS = 0.15
+_GAIN_OF_WORKERS = 0.25
 """power of their number by which workers on the same cores are faster than one"""
 
 
@@ -65,7 +65,8 @@ def render(options: RenderOptions) -> int:
     folder = run.SetFolder(options.out)
     folder.check_is_ours()
     left = len(set_plan.frames) - folder.num_done(set_plan)
-    estimate = _estimate(job, options.out, options.workers)
+    workers = options.workers or num_workers(job.wh, len(job.rig.camera_y_m), left)
+    estimate = _estimate(job, options.out, workers)
     _announce(console, job, options, set_plan, left, estimate)
     run.check_disk(options.out, left * estimate.bytes_per_frame, force=options.force)
     with folder.locked():
@@ -73,9 +74,9 @@ def render(options: RenderOptions) -> int:
             job.content(), options.frames_per_shard, options.n, options.split
         )
         given_map.keep(job.opendrive, options.out)
-        threads = max(1, (os.cpu_count() or 1) // options.workers)
-        pool = run.Pool(_render_one(), _start_worker(), (chosen, threads, job.wh),
-                        options.workers, options.recycle)  # fmt: skip
+        pool = run.Pool(_render_one(), _start_worker(),
+                        (chosen, threads_of_worker(workers), job.wh),
+                        workers, options.recycle)  # fmt: skip
         with _Display(console, len(job.rig.pairs)) as display:
             manifest = run.render_set(
                 job, set_plan, folder, manifest, pool, attributes=_attributes(job),

@@ -78,6 +78,7 @@ def test_a_worker_renders_the_same_bits(job, frames, tmp_path):
     child.join()
     assert child.exitcode == 0
     assert at_night["spec"]["rain"]["lens_drops"]
+    assert at_night["spec"]["samples"]["spp"] == 2 * frames[0]["spec"]["samples"]["spp"] == 2
     assert stored_content(tmp_path / "0.h5") == content_sha256(frames[0])
     assert stored_content(tmp_path / "1.h5") == content_sha256(at_night)
 

@@ -1,0 +1,57 @@
+"""Open Image Denoise as simgen calls it: noise goes, and neither tiles nor threads change a bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyoidn
+import pytest
+
+from simgen.denoiser import denoised
+
+WH = (640, 360)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A ramp of light on two walls, the ramp under noise, and the normals of the walls."""
+    rng = np.random.default_rng(0)
+    clean = np.broadcast_to(np.linspace(0.2, 2.0, WH[0])[None, :, None], (*WH[::-1], 3))
+    normal = np.zeros((*WH[::-1], 3), np.float32)
+    normal[:, : WH[0] // 2, 0] = normal[:, WH[0] // 2 :, 2] = 1
+    noise = rng.gamma(2.0, 0.5, clean.shape)
+    return clean.astype(np.float32), (clean * noise).astype(np.float32), normal
+
+
+def test_noise_goes_and_light_stays(noisy):
+    clean, grainy, normal = noisy
+    found = denoised(grainy, normal)
+    assert found.dtype == np.float32
+    assert np.abs(found - clean).mean() < 0.1 * np.abs(grainy - clean).mean()
+    assert found.mean() == pytest.approx(clean.mean(), rel=0.05)
+
+
+def test_tiles_change_no_bit(noisy):
+    _, grainy, normal = noisy
+    np.testing.assert_array_equal(
+        denoised(grainy, normal, memory_mb=16), denoised(grainy, normal, memory_mb=4000)
+    )
+
+
+def test_it_is_what_the_package_s_own_call_gives(noisy):
+    _, grainy, normal = noisy
+    theirs = pyoidn.denoise(grainy, albedo=np.ones_like(grainy), normal=normal, hdr=True,
+                            clean_aux=True, quality="fast")  # fmt: skip
+    np.testing.assert_array_equal(denoised(grainy, normal), theirs)
+
+
+def test_inputs_stay_as_they_are_in_any_layout(noisy):
+    _, grainy, normal = noisy
+    before = grainy.copy()
+    backwards = np.ascontiguousarray(grainy[::-1])[::-1]
+    np.testing.assert_array_equal(denoised(backwards, normal), denoised(grainy, normal))
+    np.testing.assert_array_equal(grainy, before)
+
+
+def test_what_the_library_refuses_is_said():
+    with pytest.raises(RuntimeError, match="Open Image Denoise: "):
+        denoised(np.zeros((8, 8, 3), np.float32), np.zeros((4, 4, 3), np.float32))
