@@ -53,8 +53,8 @@ class RenderOptions:
     size: str = ""
     """image size WIDTHxHEIGHT [px]; the rig's native size if not given (default rig: 2560x1440)"""
     spp: int = 2
-    """path-traced samples per pixel, a power of two; more is slower and less noisy. Where lamps burn,
-    twice as many are taken"""
+    """path-traced samples per pixel, a power of two; more is slower and less noisy. Where lamps
+    burn, twice as many are taken"""
     denoise: bool = True
     """whether Open Image Denoise cleans the irradiance"""
     sensor: Literal["camera", "ideal"] = "camera"

@@ -45,9 +45,12 @@ def denoised(
     """Linear irradiance (H, W, 3) float32 without its noise, guided by normals (H, W, 3).
 
     By normals alone: with the albedo as a guide the denoiser drew its texture into the irradiance,
-    which then counted twice (1.7 times the true power in the finest octave). Raises RuntimeError
-    with what the library says.
+    which then counted twice (1.7 times the true power in the finest octave).
+
+    Raises ValueError for shapes that differ, RuntimeError with what the library says.
     """
+    if irradiance.shape != normal.shape:
+        raise ValueError(f"denoised: irradiance {irradiance.shape}, but normal {normal.shape}")
     images = {
         "color": np.ascontiguousarray(irradiance, np.float32),
         "albedo": np.ones(irradiance.shape, np.float32),
@@ -55,7 +58,8 @@ def denoised(
         "output": np.empty(irradiance.shape, np.float32),
     }
     device = _device()
-    with _PYOIDN.Filter(device, _PYOIDN.OIDN_FILTER_TYPE_RT) as denoising:
+    denoising = _PYOIDN.Filter(device, _PYOIDN.OIDN_FILTER_TYPE_RT)
+    try:  # as a context manager, it would swallow errors
         for name, image in images.items():
             denoising.set_image(name, image, _PYOIDN.OIDN_FORMAT_FLOAT3)
         denoising.set_bool("hdr", True)
@@ -65,6 +69,8 @@ def denoised(
         denoising.commit()
         denoising.execute()
         _check(device)
+    finally:
+        denoising.release()
     return images["output"]
 
 

@@ -52,6 +52,18 @@ def test_inputs_stay_as_they_are_in_any_layout(noisy):
     np.testing.assert_array_equal(grainy, before)
 
 
-def test_what_the_library_refuses_is_said():
-    with pytest.raises(RuntimeError, match="Open Image Denoise: "):
+def test_images_that_do_not_fit_are_refused():
+    """The library would read beyond the smaller one."""
+    with pytest.raises(ValueError, match=r"irradiance \(8, 8, 3\), but normal \(4, 4, 3\)"):
         denoised(np.zeros((8, 8, 3), np.float32), np.zeros((4, 4, 3), np.float32))
+
+
+def test_what_the_library_refuses_is_said(noisy, monkeypatch):
+    class Forgetful(pyoidn.Filter):
+        def set_image(self, name: str, *args: object) -> None:
+            if name != "output":
+                super().set_image(name, *args)
+
+    monkeypatch.setattr(pyoidn, "Filter", Forgetful)
+    with pytest.raises(RuntimeError, match="Open Image Denoise: output image not specified"):
+        denoised(noisy[1], noisy[2])
