@@ -96,7 +96,7 @@ def test_clouds_share_the_sky_as_asked():
     shares = []
     for cover in (0.2, 0.5, 0.8):
         light = daylight._light_on_clouds(sky(40.0), clear_dome(sky(40.0)))
-        layers = [clouds.build(cover, light, rng=np.random.default_rng(i)) for i in range(4)]
+        layers = [clouds.build(cover, light, rng=np.random.default_rng(i)) for i in range(2)]
         shares.append(np.mean([1 - x.clear[150:350].mean() for x in layers]))
     assert shares[0] < shares[1] < shares[2]
     assert 0.2 < shares[1] < 0.85

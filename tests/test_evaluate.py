@@ -487,7 +487,7 @@ def test_stale_predictions_are_refused_before_anything_is_predicted(data, tmp_pa
 
 def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
     out = tmp_path / "a" / "b"
-    arguments = ["--data", str(data), "--methods", "superglue+loransac", "--size", "96x48",
+    arguments = ["--data", str(data), "--methods", "rpnet", "--size", "96x48",
                  "--split", "all", "--matched-pairs", "0", "--translations", "gt", "--limit", "1",
                  "--out", str(out)]  # fmt: skip
     assert main(arguments) == 0
@@ -497,13 +497,13 @@ def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
 def test_rows_of_earlier_calls_stay_in_the_tables(data, tmp_path):
     save_weights(tmp_path / "w.safetensors", network(TINY_PAPER), Card(preset="custom", hours=1.5))
     trained = f"network={tmp_path / 'w.safetensors'}"
-    for methods in (["superglue+loransac", trained], ["sift+5dof"]):
+    for methods in (["rpnet", trained], ["sift+5dof"]):
         arguments = ["--data", str(data), "--methods", *methods, "--size", "96x48", "--limit", "1",
                      "--split", "all", "--matched-pairs", "0", "--translations", "gt",
                      "--out", str(tmp_path)]  # fmt: skip
         assert main(arguments) == 0
     text = (tmp_path / "tables.md").read_text()
-    assert "| superglue+loransac | no weights" in text
+    assert "| rpnet | no weights" in text
     assert f"| {trained} | {TINY_PAPER.input_wh[0]}×{TINY_PAPER.input_wh[1]}, 1.5 h |" in text
 
 
