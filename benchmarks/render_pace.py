@@ -2,10 +2,11 @@
 
     python -m simgen render --n 36 --seed 31 --out set; python benchmarks/render_pace.py set
 
-Workers render at the same time, so that a frame costs less of the clock than it takes its worker.
-The pace is that of the frames after the first of each worker; it is split by stages as the seconds
-of the workers are. The bar: at most 60 s per rig frame on two cores, at most 12 s of it neither
-path tracing (with its first-hit features) nor denoising.
+Workers render at the same time, so that a frame costs less of the clock than it takes its worker:
+the mean time from one frame of a worker to its next, divided by their number. The first frame of
+each worker is left out, and the last of all, which has the machine for itself. The bar: at most
+60 s per rig frame on two cores, at most 12 s of it neither path tracing (with its first-hit
+features) nor denoising.
 """
 
 from __future__ import annotations
@@ -33,19 +34,24 @@ class Options:
 def main(options: Options) -> None:
     """Prints the table."""
     frames = sorted(read_log(options.folder).finished, key=lambda frame: frame["time"])
-    workers = len({frame["pid"] for frame in frames})
-    if len(frames) < 2 * workers + 1:
-        raise UserError(f"{options.folder}: expected more than two frames of each worker.")
-    first, later = frames[workers - 1], frames[workers:]
-    pace = (later[-1]["time"] - first["time"]) / len(later)
-    spent = {k: np.mean([f["seconds"].get(k, 0.0) for f in later]) for k in _stages(later)}
-    total = sum(spent.values())
+    ended: dict[int, float] = {}
+    taken, counted = [], []
+    for frame in frames[:-1]:
+        if (before := ended.get(frame["pid"])) is not None:
+            taken.append(frame["time"] - before)
+            counted.append(frame)
+        ended[frame["pid"]] = frame["time"]
+    if not counted:
+        raise UserError(f"{options.folder}: expected more than two frames of a worker.")
+    spent = {k: np.mean([f["seconds"].get(k, 0.0) for f in counted]) for k in _stages(counted)}
     traced = sum(spent[k] for k in TRACED)
-    print(f"{len(later)} rig frames after the first of each of {workers} workers\n")
+    whole = float(np.mean(taken))
+    print(f"{len(counted)} rig frames of {len(ended)} workers, each after its first\n")
     print(f"{'stage':20}{'of a worker':>12}{'of the clock':>14}")
-    rows = {**spent, "tracing, denoising": traced, "everything else": total - traced, "": total}
+    rows = {**spent, "between frames": whole - sum(spent.values()), "tracing, denoising": traced,
+            "everything else": whole - traced, "rig frame": whole}  # fmt: skip
     for name, seconds in rows.items():
-        print(f"{name or 'rig frame':20}{seconds:10.1f} s{seconds * pace / total:12.1f} s")
+        print(f"{name:20}{seconds:10.1f} s{seconds / len(ended):12.1f} s")
 
 
 def _stages(frames: list[dict]) -> list[str]:
