@@ -67,7 +67,7 @@ def render(options: RenderOptions) -> int:
     left = len(set_plan.frames) - folder.num_done(set_plan)
     workers = options.workers or num_workers(job.wh, len(job.rig.camera_y_m), left)
     estimate = _estimate(job, options.out, workers)
-    _announce(console, job, options, set_plan, left, estimate)
+    _announce(console, job, options, set_plan, left, estimate, workers)
     run.check_disk(options.out, left * estimate.bytes_per_frame, force=options.force)
     with folder.locked():
         manifest = folder.open_manifest(
@@ -142,6 +142,7 @@ def _announce(
     plan: run.SetPlan,
     left: int,
     estimate: Estimate,
+    workers: int,
 ) -> None:
     num_pairs = len(job.rig.pairs)
     num = len(plan.frames)
@@ -162,7 +163,7 @@ def _announce(
     time_text = f"{hours:.1f} h" if hours >= 1 else f"{max(1, round(hours * 60))} min"
     console.print(
         f"{what}: {still}about {time_text} and {left * estimate.bytes_per_frame / 1e9:.2g} GB "
-        f"in {options.out}"
+        f"in {options.out}" + f", by {workers} workers" * (workers > 1)
     )
 
 

@@ -199,6 +199,7 @@ def test_a_set_that_goes_on_says_what_is_left(
     said = capsys.readouterr().err
     assert "6 rig frames, 18 pairs, 96x54, seed 0, scalar_rgb: the 5 frames left take " in said
     assert "about 5.0 h and " in said
+    assert (", by 2 workers\n" in said) == (workers == 2)
     assert cli.main([*args, "--split", "train"]) == 0
     assert "scalar_rgb: all there in " in capsys.readouterr().err
     assert needed == [pytest.approx(needed[0]), 0]
