@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shutil
 from importlib.metadata import PackageNotFoundError, version
@@ -12,8 +11,7 @@ import psutil
 
 from simgen import __version__, engine
 from simgen.errors import UserError
-from simgen.workers import memory_gb as memory_gb_of_worker
-from simgen.workers import num_workers
+from simgen.workers import free_memory_gb, memory_gb, num_cores, num_workers
 
 PACKAGES = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "scipy", "opencv-python-headless",
             "shapely", "h5py", "zlib-ng", "hdf5plugin", "OpenEXR", "tyro", "pydantic",
@@ -26,16 +24,15 @@ def diagnosis() -> str:
     """A page of text; loads neither Mitsuba nor LLVM."""
     lines = [f"simgen {__version__}, Python {platform.python_version()}, {platform.platform()}"]
     lines += _engine_lines()
-    memory = psutil.virtual_memory()
-    many = num_workers(*FULL_SIZE, frames=os.cpu_count() or 1)
-    lines.append(f"cores     {os.cpu_count()}; full-size frames by {many} workers if not told")
-    lines.append(
-        f"memory    {memory.total / 2**30:.1f} GiB, {memory.available / 2**30:.1f} GiB available"
-    )
+    many = num_workers(*FULL_SIZE, frames=num_cores())
+    lines.append(f"cores     {num_cores()} for this process; full-size frames by {many} workers")
+    free_gb = free_memory_gb()
+    total_gb = psutil.virtual_memory().total / 2**30
+    lines.append(f"memory    {total_gb:.1f} GiB, {free_gb:.1f} GiB free for this process")
     disk = shutil.disk_usage(Path.cwd())
     lines.append(f"disk      {disk.free / 1e9:.1f} GB free in {Path.cwd()}")
     lines.append("packages  " + ", ".join(f"{p} {_version(p)}" for p in PACKAGES))
-    advice = _advice(memory.available / 2**30, disk.free / 1e9)
+    advice = _advice(free_gb, disk.free / 1e9)
     lines.append("To do     " + ("\n          ".join(advice) or "nothing: all is well."))
     return "\n".join(lines)
 
@@ -68,15 +65,15 @@ def _version(package: str) -> str:
         return "(not installed)"
 
 
-def _advice(memory_gb: float, disk_gb: float) -> list[str]:
+def _advice(free_gb: float, disk_gb: float) -> list[str]:
     advice = []
     try:
         if engine.choose("auto").variant == "scalar_rgb":
             advice.append(f"3 to 4 times faster with a newer LLVM: {engine.install_hint()}")
     except UserError as error:
         advice.append(str(error))
-    needed = memory_gb_of_worker(*FULL_SIZE)
-    if memory_gb < needed:
+    needed = memory_gb(*FULL_SIZE)
+    if free_gb < needed:
         advice.append(f"less than {needed:.1f} GiB of memory: render at a smaller --size")
     if disk_gb < 20:
         advice.append("less than 20 GB free: choose another disk with --out for a large set")

@@ -1,16 +1,46 @@
-"""How many workers: one per core, as far as memory and frames go."""
+"""How many workers: one per core, as far as memory and frames go, whoever sets the limits."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from types import SimpleNamespace
 
 import psutil
 import pytest
 
-from simgen.workers import memory_gb, num_workers, threads_of_worker
+from simgen import workers
+from simgen.workers import (
+    free_memory_gb,
+    memory_gb,
+    num_cores,
+    num_workers,
+    threads_of_worker,
+)
 
 FULL = (2560, 1440)
+
+
+@pytest.fixture
+def machine(monkeypatch, tmp_path: Path):
+    """A machine of so many cores and GiB, and the folder of its control groups."""
+
+    def of(cores: int, free_gb: float) -> Path:
+        monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(cores)), raising=False)
+        memory = SimpleNamespace(available=free_gb * 2**30)
+        monkeypatch.setattr(psutil, "virtual_memory", lambda: memory)
+        monkeypatch.setattr(workers, "OWN_CGROUP", tmp_path / "own")
+        monkeypatch.setattr(workers, "CGROUPS", tmp_path / "groups")
+        return tmp_path / "groups"
+
+    return of
+
+
+def write(folder: Path, **files: str) -> None:
+    """Files of a control group; the names have a _ for the dot."""
+    folder.mkdir(parents=True)
+    for name, text in files.items():
+        (folder / name.replace("_", ".")).write_text(text)
 
 
 @pytest.mark.parametrize(
@@ -22,25 +52,46 @@ FULL = (2560, 1440)
         (16, 64, 100, 16),
         (16, 16, 100, 5),
         (8, 1, 100, 1),  # as little as it is, somebody has to try
-        (None, 64, 100, 1),
         (2, 64, 0, 1),
     ],
 )
-def test_workers_of_a_machine(monkeypatch, cores, free_gb, frames, expected):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    memory = SimpleNamespace(available=free_gb * 2**30)
-    monkeypatch.setattr(psutil, "virtual_memory", lambda: memory)
+def test_workers_of_a_machine(machine, cores, free_gb, frames, expected):
+    machine(cores, free_gb)
     assert num_workers(FULL, 3, frames) == expected
+
+
+def test_limits_of_control_groups_count_wherever_they_are_set(machine):
+    groups = machine(16, 64)
+    (groups.parent / "own").write_text("0::/job/step\n")
+    write(groups, cpu_max="max 100000", memory_max="max")
+    write(groups / "job", cpu_max="400000 100000", memory_max="max", memory_current="7")
+    write(groups / "job" / "step", memory_max=str(12 * 2**30), memory_current=str(5 * 2**30),
+          memory_stat=f"anon 77\ninactive_file {2**30}\nactive_file 3")  # fmt: skip
+    assert num_cores() == 4
+    assert free_memory_gb() == pytest.approx(8)
+    assert num_workers(FULL, 3, 100) == 2
+    (groups / "job" / "cpu.max").write_text("50000 100000")
+    assert num_cores() == 1
+
+
+def test_without_control_groups_the_machine_is_the_limit(machine):
+    machine(3, 9)
+    assert (num_cores(), free_memory_gb()) == (3, pytest.approx(9))
+
+
+def test_what_this_machine_allows_is_something():
+    assert 1 <= num_cores() <= (os.cpu_count() or 1)
+    assert 0 < free_memory_gb() <= psutil.virtual_memory().total / 2**30
 
 
 def test_small_images_need_less_and_large_ones_more():
     assert memory_gb((640, 360), 3) < memory_gb(FULL, 3) < memory_gb((3848, 2168), 4)
-    assert 2.6 < memory_gb(FULL, 3) < 3  # 2.6 GiB were seen there
+    assert 2.8 < memory_gb(FULL, 3) < 3  # 2.8 GiB were seen there
 
 
 @pytest.mark.parametrize(
     "cores, workers, expected", [(2, 1, 2), (2, 2, 2), (2, 8, 1), (16, 16, 2), (16, 5, 6)]
 )
-def test_threads_of_a_worker(monkeypatch, cores, workers, expected):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+def test_threads_of_a_worker(machine, cores, workers, expected):
+    machine(cores, 64)
     assert threads_of_worker(workers) == expected
