@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from simgen import workers
+from simgen import doctor, workers
 from simgen.workers import (
     free_memory_gb,
     memory_gb,
@@ -27,7 +27,7 @@ def machine(monkeypatch, tmp_path: Path):
 
     def of(cores: int, free_gb: float) -> Path:
         monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(cores)), raising=False)
-        memory = SimpleNamespace(available=free_gb * 2**30)
+        memory = SimpleNamespace(available=free_gb * 2**30, total=64 * 2**30)
         monkeypatch.setattr(psutil, "virtual_memory", lambda: memory)
         monkeypatch.setattr(workers, "OWN_CGROUP", tmp_path / "own")
         monkeypatch.setattr(workers, "CGROUPS", tmp_path / "groups")
@@ -95,3 +95,13 @@ def test_small_images_need_less_and_large_ones_more():
 def test_threads_of_a_worker(machine, cores, workers, expected):
     machine(cores, 64)
     assert threads_of_worker(workers) == expected
+
+
+def test_the_doctor_says_what_is_left_to_a_process(machine):
+    groups = machine(4, 32)
+    assert "cores     4 for this process; full-size frames by 4 workers\n" in doctor.diagnosis()
+    (groups.parent / "own").write_text("0::/\n")
+    write(groups, memory_max=str(2 * 2**30), memory_current="0")
+    said = doctor.diagnosis()
+    assert "memory    64.0 GiB, 2.0 GiB free for this process\n" in said
+    assert "less than 2.8 GiB of memory: render at a smaller --size" in said
