@@ -14,9 +14,9 @@ import psutil
 OWN_CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
 MEMORY_FIXED_GB = 1.4
-MEMORY_PER_MEGAPIXEL_GB = 0.13
-"""of all images of a rig frame; with the above, what a worker was seen to take at most, rounded up
-(2.8 GiB for three images of 2560x1440)"""
+MEMORY_PER_MEGAPIXEL_GB = 0.14
+"""of all images of a rig frame; with the above, what a worker was seen to take at most (2.8
+to 3.0 GiB for three images of 2560x1440)"""
 
 
 def memory_gb(wh: tuple[int, int], cameras: int) -> float:
