@@ -4,6 +4,7 @@
 
 Renders the left and right camera of frames as a set would (few samples, denoised), and a
 reference: the mean of runs without the denoiser, 256 samples in all, in two independent halves.
+Where lamps burn, both take twice as many samples.
 
 *Octaves* of the linear luminance, from the finest on: power over the reference's own, the kept
 amplitude of the true texture, and the added power (``simgen/statistics.py`` defines them). The bar

@@ -34,6 +34,10 @@ class Options:
 def main(options: Options) -> None:
     """Prints the table."""
     frames = sorted(read_log(options.folder).finished, key=lambda frame: frame["time"])
+    workers = {frame.get("workers") for frame in frames}
+    if len(workers) != 1 or None in workers:
+        raise UserError(f"{options.folder}: expected one run by one number of workers: {workers}.")
+    (num,) = workers
     ended: dict[int, float] = {}
     taken, counted = [], []
     for frame in frames[:-1]:
@@ -46,12 +50,12 @@ def main(options: Options) -> None:
     spent = {k: np.mean([f["seconds"].get(k, 0.0) for f in counted]) for k in _stages(counted)}
     traced = sum(spent[k] for k in TRACED)
     whole = float(np.mean(taken))
-    print(f"{len(counted)} rig frames of {len(ended)} workers, each after its first\n")
+    print(f"{len(counted)} rig frames of {num} workers, each after its first\n")
     print(f"{'stage':20}{'of a worker':>12}{'of the clock':>14}")
     rows = {**spent, "between frames": whole - sum(spent.values()), "tracing, denoising": traced,
             "everything else": whole - traced, "rig frame": whole}  # fmt: skip
     for name, seconds in rows.items():
-        print(f"{name:20}{seconds:10.1f} s{seconds / len(ended):12.1f} s")
+        print(f"{name:20}{seconds:10.1f} s{seconds / num:12.1f} s")
 
 
 def _stages(frames: list[dict]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from simgen.recipe import (
     scenes_dir,
 )
 from simgen.rig import Rig
+from simgen.workers import num_cores
 
 MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
 MAX_PAIRS = 10_000_000
@@ -223,7 +223,7 @@ def _check_numbers(options: RenderOptions) -> None:
         )
     if options.sensor not in SENSORS:
         raise UserError(f"--sensor {options.sensor}: expected one of {', '.join(SENSORS)}.")
-    cores = os.cpu_count() or 1
+    cores = num_cores()
     if options.workers is not None and options.workers > 4 * cores:
         raise UserError(f"--workers {options.workers}: this machine has {cores} cores.")
 

@@ -6,6 +6,7 @@ import sys
 from functools import cache
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,9 +31,10 @@ GiB less at 2560x1440"""
 
 
 @cache
-def _device() -> Any:
+def _device(threads: int) -> Any:
     """The CPU, with its threads free to move: pinned ones would meet those of other workers."""
     device = _PYOIDN.Device(_PYOIDN.OIDN_DEVICE_TYPE_CPU)
+    device.set_int("numThreads", threads)
     device.set_bool("setAffinity", False)
     device.commit()
     _check(device)
@@ -47,9 +49,10 @@ def denoised(
     By normals alone: with the albedo as a guide the denoiser drew its texture into the irradiance,
     which then counted twice (1.7 times the true power in the finest octave).
 
-    Raises ValueError for shapes that differ, RuntimeError with what the library says.
+    Raises ValueError for other shapes, OSError with what the library says: that is the machine's
+    fault, not the frame's.
     """
-    if irradiance.shape != normal.shape:
+    if not irradiance.shape == normal.shape == (*irradiance.shape[:2], 3):
         raise ValueError(f"denoised: irradiance {irradiance.shape}, but normal {normal.shape}")
     images = {
         "color": np.ascontiguousarray(irradiance, np.float32),
@@ -57,7 +60,7 @@ def denoised(
         "normal": np.ascontiguousarray(normal, np.float32),
         "output": np.empty(irradiance.shape, np.float32),
     }
-    device = _device()
+    device = _device(dr.thread_count())
     denoising = _PYOIDN.Filter(device, _PYOIDN.OIDN_FILTER_TYPE_RT)
     try:  # as a context manager, it would swallow errors
         for name, image in images.items():
@@ -76,4 +79,4 @@ def denoised(
 
 def _check(device: Any) -> None:
     if message := device.get_error():
-        raise RuntimeError(f"Open Image Denoise: {message}")
+        raise OSError(f"Open Image Denoise: {message}")

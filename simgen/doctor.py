@@ -25,7 +25,7 @@ def diagnosis() -> str:
     lines = [f"simgen {__version__}, Python {platform.python_version()}, {platform.platform()}"]
     lines += _engine_lines()
     many = num_workers(*FULL_SIZE, frames=num_cores())
-    lines.append(f"cores     {num_cores()} for this process; full-size frames by {many} workers")
+    lines.append(f"cores     {num_cores()} for this process, {many} full-size frames at a time")
     free_gb = free_memory_gb()
     total_gb = psutil.virtual_memory().total / 2**30
     lines.append(f"memory    {total_gb:.1f} GiB, {free_gb:.1f} GiB free for this process")

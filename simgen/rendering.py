@@ -18,7 +18,7 @@ from simgen.config import Job, RenderOptions, resolve
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
 from simgen.survey import read_log
-from simgen.workers import num_workers, threads_of_worker
+from simgen.workers import num_cores, num_workers, threads_of_worker
 
 UNITS = "metres, pixels, degrees where a name ends in _deg"
 CONVENTIONS = (
@@ -35,8 +35,8 @@ _SECONDS_FIXED = 7.0
 _SECONDS_PER_CAMERA_MEGAPIXEL = 3.0
 _SECONDS_PER_MEGASAMPLE = 1.25
 _SCALAR_FACTOR = 4.0
-_GAIN_OF_WORKERS = 0.25
-"""power of their number by which workers on the same cores are faster than one"""
+_SECONDS_OF_WORKER = 1.7
+"""of a worker that has one core, over those of one with two"""
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,9 @@ def _attributes(job: Job) -> dict[str, object]:
 
 
 def _estimate(job: Job, folder: Path, workers: int) -> Estimate:
-    """From the folder's own timings if it has any, else from the benchmark's.
+    """From the folder's own timings by as many workers if it has any, else from the benchmark's.
 
-    A folder's log holds the seconds of each worker, which share the cores; the benchmark had all
-    of them for itself.
+    The benchmark had two cores for itself; a folder's log holds the seconds of each worker.
     """
     megapixels = job.wh[0] * job.wh[1] / 1e6
     cameras, pairs = len(job.rig.camera_y_m), len(job.rig.pairs)
@@ -126,12 +125,16 @@ def _estimate(job: Job, folder: Path, workers: int) -> Estimate:
     )
     if job.variant == "scalar_rgb":
         seconds *= _SCALAR_FACTOR
-    logged = _logged_seconds(folder)
-    return Estimate(size, logged / workers if logged else seconds / workers**_GAIN_OF_WORKERS)
+    if workers > 1:
+        seconds *= _SECONDS_OF_WORKER / min(workers, num_cores())
+    logged = _logged_seconds(folder, workers)
+    return Estimate(size, logged / workers if logged else seconds)
 
 
-def _logged_seconds(folder: Path) -> float | None:
-    spent = [sum(r["seconds"].values()) for r in read_log(folder).finished]
+def _logged_seconds(folder: Path, workers: int) -> float | None:
+    """Of a worker for a frame, while so many shared the machine."""
+    log = [r for r in read_log(folder).finished if r.get("workers") == workers]
+    spent = [sum(r["seconds"].values()) for r in log]
     return float(np.median(spent)) if spent else None
 
 

@@ -298,6 +298,7 @@ class _State:
     manifest: Manifest
     attributes: dict[str, Any]
     compression: str
+    workers: int
     attempts: dict[int, int] = field(default_factory=dict)
     faults: dict[int, int] = field(default_factory=dict)
 
@@ -338,7 +339,7 @@ def render_set(
     KeyboardInterrupt or SystemExit when it is told to stop: everything finished is kept.
     """
     progress = progress or Progress()
-    state = _State(folder, set_plan, manifest, attributes, compression)
+    state = _State(folder, set_plan, manifest, attributes, compression, pool.workers)
     with _StopSignals() as stop:
         _restore(state, progress)
         finished = set(state.in_shards())
@@ -447,7 +448,8 @@ def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> 
     except Exception as error:  # one scene that cannot be built must not end a long run
         _redraw([f"{type(error).__name__}: {error}"], task, state, progress)
     else:
-        _log(state, {**asdict(result), "host": socket.gethostname(), "time": time.time()})
+        _log(state, {**asdict(result), "workers": state.workers, "host": socket.gethostname(),
+                     "time": time.time()})  # fmt: skip
         progress.frame_done(result)
         return True
     return False

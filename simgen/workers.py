@@ -1,7 +1,7 @@
 """How many processes may render at the same time on this machine, and with how many threads.
 
 A container or a batch system may leave a process less than the machine has: its cores and memory
-are the least of what the machine, its affinity and its control groups (Linux, version 2) allow.
+are the least of what the machine, its affinity and its control groups (Linux) allow.
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ import psutil
 OWN_CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
 MEMORY_FIXED_GB = 1.4
-MEMORY_PER_MEGAPIXEL_GB = 0.14
-"""of all images of a rig frame; with the above, what a worker was seen to take at most (2.8
-to 3.0 GiB for three images of 2560x1440)"""
+MEMORY_PER_MEGAPIXEL_GB = 0.15
+"""of all images of a rig frame; with the above, a little more than a worker was seen to take at
+most (3.0 GiB for three images of 2560x1440)"""
+PARENT_GB = 0.5
+"""of the process that assembles shards"""
 
 
 def memory_gb(wh: tuple[int, int], cameras: int) -> float:
@@ -30,14 +32,14 @@ def num_workers(wh: tuple[int, int], cameras: int, frames: int) -> int:
     Much of a frame is the work of one thread. With a worker per core no core waits for it: on two
     cores, full-size frames came a sixth faster than from one worker with two threads.
     """
-    fit = int(free_memory_gb() / memory_gb(wh, cameras))
+    fit = int((free_memory_gb() - PARENT_GB) / memory_gb(wh, cameras))
     return max(1, min(num_cores(), fit, frames))
 
 
 def threads_of_worker(workers: int) -> int:
-    """Twice its share of the cores: the last frames of a run have them to themselves.
+    """Twice its share of the cores: on few, the last frame of a run does not leave half idle.
 
-    While all work, as many threads as cores were no faster.
+    While all work, no more threads than cores were no faster.
     """
     cores = num_cores()
     return min(cores, max(1, 2 * cores // workers))
@@ -47,34 +49,51 @@ def num_cores() -> int:
     """Cores that this process may use."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-    for group in _cgroups():
-        quota, period = [*_words(group / "cpu.max"), "max", "1"][:2]
-        if quota != "max":
-            cores = min(cores, max(1, int(quota) // int(period)))
+    for group in _groups("cpu"):
+        quotas = _numbers(group, "cpu.max") or [
+            *_numbers(group, "cpu.cfs_quota_us"), *_numbers(group, "cpu.cfs_period_us")
+        ]  # fmt: skip
+        if len(quotas) == 2 and quotas[0] > 0:
+            cores = min(cores, max(1, quotas[0] // quotas[1]))
     return cores
 
 
 def free_memory_gb() -> float:
     """Memory that this process may still take [GiB]; what only caches files counts as free."""
     free = psutil.virtual_memory().available
-    for group in _cgroups():
-        limit, used = _words(group / "memory.max"), _words(group / "memory.current")
-        if limit and used and limit[0] != "max":
-            stat = _words(group / "memory.stat")
-            cached = dict(zip(stat[::2], stat[1::2], strict=False)).get("inactive_file", "0")
-            free = min(free, int(limit[0]) - int(used[0]) + int(cached))
+    for group in _groups("memory"):
+        limit = _numbers(group, "memory.max") or _numbers(group, "memory.limit_in_bytes")
+        used = _numbers(group, "memory.current") or _numbers(group, "memory.usage_in_bytes")
+        if limit and used:
+            free = min(free, limit[0] - used[0] + _cached(group))
     return free / 2**30
 
 
-def _cgroups() -> list[Path]:
-    """The control group of this process and those above it."""
-    lines = OWN_CGROUP.read_text().splitlines() if OWN_CGROUP.exists() else []
-    own = [CGROUPS / line[3:].lstrip("/") for line in lines if line.startswith("0::")]
-    return [g for group in own for g in (group, *group.parents) if g.is_relative_to(CGROUPS)]
+def _cached(group: Path) -> int:
+    stat = dict(line.split() for line in _lines(group / "memory.stat"))
+    return int(stat.get("total_inactive_file", stat.get("inactive_file", 0)))
 
 
-def _words(path: Path) -> list[str]:
+def _groups(controller: str) -> list[Path]:
+    """Control groups of this process and those above them, of version 2 and of version 1."""
+    found = []
+    for line in _lines(OWN_CGROUP):
+        _, controllers, path = line.split(":", 2)
+        if controllers in ("", controller) or controller in controllers.split(","):
+            root = CGROUPS / controllers
+            own = root / path.lstrip("/")
+            found += [g for g in (own, *own.parents) if g.is_relative_to(root)]
+    return found
+
+
+def _numbers(group: Path, name: str) -> list[int]:
+    """Of the first line of a file; none where there is no limit, or no such file."""
+    words = next(iter(_lines(group / name)), "max").split()
+    return [] if "max" in words else [int(word) for word in words]
+
+
+def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text().split()
+        return path.read_text().splitlines()
     except OSError:
         return []

@@ -52,7 +52,7 @@ def test_render_says_what_it_will_do_does_it_and_says_what_came_of_it(
 ):
     fake_renderer(fakes.render)
     out = tmp_path / "set"
-    args = ["render", "--n", "4", "--out", str(out), *SMALL]
+    args = ["render", "--n", "4", "--workers", "1", "--out", str(out), *SMALL]
     assert cli.main(args) == 0
     said = capsys.readouterr().err
     assert "--n 4 is rounded up to 6 pairs: a rig frame has 3." in said
@@ -62,6 +62,17 @@ def test_render_says_what_it_will_do_does_it_and_says_what_came_of_it(
     assert [int(f.frame_index) for f in ShardSet(out)] == [0, 1]
     assert cli.main(args) == 0
     assert "Going on: 2 of 2 rig frames are there already." in capsys.readouterr().err
+
+
+def test_as_many_workers_as_fit_render_if_nobody_says_how_many(
+    tmp_path, capsys, fake_renderer, monkeypatch
+):
+    fake_renderer(fakes.render)
+    asked = []
+    monkeypatch.setattr(rendering, "num_workers", lambda *of: asked.append(of) or 2)
+    assert cli.main(["render", "--n", "9", "--out", str(tmp_path), *SMALL]) == 0
+    assert asked == [((96, 54), 3, 3)]  # size, cameras, frames that are left
+    assert ", by 2 workers\n" in capsys.readouterr().err
 
 
 def test_failed_frames_are_listed_and_the_status_is_1(tmp_path, capsys, fake_renderer):

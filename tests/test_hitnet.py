@@ -442,7 +442,6 @@ def test_images_and_disparity_of_the_truth_agree():
     assert shown[0.0] < 0.15 * shown[8.0]
 
 
-@pytest.mark.slow  # the loop is the one of test_train
 def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(data, tmp_path, monkeypatch):
     whole, parts = (options(data, tmp_path / name, max_steps=2) for name in "ab")
     scores = train_depth.train_depth(whole)

@@ -40,7 +40,7 @@ def write(folder: Path, **files: str) -> None:
     """Files of a control group; the names have a _ for the dot."""
     folder.mkdir(parents=True)
     for name, text in files.items():
-        (folder / name.replace("_", ".")).write_text(text)
+        (folder / name.replace("_", ".", 1)).write_text(text)
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,27 @@ def test_limits_of_control_groups_count_wherever_they_are_set(machine):
     assert num_cores() == 1
 
 
+def test_limits_of_version_1_count_too(machine):
+    """In a container the path may be the host's; its own limits are at the root."""
+    groups = machine(16, 64)
+    own = "9:name=systemd:/x\n7:cpu,cpuacct:/docker/7f\n3:memory:/docker/7f\n0::/\n"
+    (groups.parent / "own").write_text(own)
+    write(groups / "cpu,cpuacct", cpu_cfs_quota_us="300000", cpu_cfs_period_us="100000")
+    write(groups / "memory", memory_limit_in_bytes=str(6 * 2**30),
+          memory_usage_in_bytes=str(2**30), memory_stat="total_inactive_file 0")  # fmt: skip
+    assert (num_cores(), free_memory_gb()) == (3, pytest.approx(5))
+    (groups / "cpu,cpuacct" / "cpu.cfs_quota_us").write_text("-1")
+    (groups / "memory" / "memory.limit_in_bytes").write_text("9223372036854771712")
+    assert (num_cores(), free_memory_gb()) == (16, pytest.approx(64))
+
+
+@pytest.mark.parametrize("own", ["0::/../..\n", "0::/\n", "", "3:memory:/\n"])
+def test_groups_without_limits_limit_nothing(machine, own):
+    groups = machine(3, 9)
+    (groups.parent / "own").write_text(own)
+    assert (num_cores(), free_memory_gb()) == (3, pytest.approx(9))
+
+
 def test_without_control_groups_the_machine_is_the_limit(machine):
     machine(3, 9)
     assert (num_cores(), free_memory_gb()) == (3, pytest.approx(9))
@@ -86,7 +107,7 @@ def test_what_this_machine_allows_is_something():
 
 def test_small_images_need_less_and_large_ones_more():
     assert memory_gb((640, 360), 3) < memory_gb(FULL, 3) < memory_gb((3848, 2168), 4)
-    assert 2.8 < memory_gb(FULL, 3) < 3  # 2.8 to 3.0 GiB were seen there
+    assert 3 < memory_gb(FULL, 3) < 3.2  # 3.0 GiB were seen there
 
 
 @pytest.mark.parametrize(
@@ -99,9 +120,9 @@ def test_threads_of_a_worker(machine, cores, workers, expected):
 
 def test_the_doctor_says_what_is_left_to_a_process(machine):
     groups = machine(4, 32)
-    assert "cores     4 for this process; full-size frames by 4 workers\n" in doctor.diagnosis()
+    assert "cores     4 for this process, 4 full-size frames at a time\n" in doctor.diagnosis()
     (groups.parent / "own").write_text("0::/\n")
     write(groups, memory_max=str(2 * 2**30), memory_current="0")
     said = doctor.diagnosis()
     assert "memory    64.0 GiB, 2.0 GiB free for this process\n" in said
-    assert "less than 2.9 GiB of memory: render at a smaller --size" in said
+    assert "less than 3.1 GiB of memory: render at a smaller --size" in said

@@ -116,8 +116,8 @@ def test_no_horizon_is_empty(built):
 
 
 def test_same_spec_same_world():
-    a, *_ = scene_of("rural")
-    spec = make_spec("rural", 7)
+    a, *_ = scene_of("suburban")
+    spec = make_spec("suburban", 7)
     b = world.build(spec, world.drive(spec, 0), OPTICS)
     assert len(a.parts) == len(b.parts)
     for p, q in zip(a.parts, b.parts, strict=True):
