@@ -53,7 +53,10 @@ def denoised(
     fault, not the frame's.
     """
     if not irradiance.shape == normal.shape == (*irradiance.shape[:2], 3):
-        raise ValueError(f"denoised: irradiance {irradiance.shape}, but normal {normal.shape}")
+        raise ValueError(
+            f"denoised: expected two images (H, W, 3), came irradiance {irradiance.shape} and "
+            f"normal {normal.shape}"
+        )
     images = {
         "color": np.ascontiguousarray(irradiance, np.float32),
         "albedo": np.ones(irradiance.shape, np.float32),

@@ -64,7 +64,7 @@ def test_inputs_stay_as_they_are_in_any_layout(noisy):
 
 def test_images_that_do_not_fit_are_refused():
     """The library would read beyond the smaller one."""
-    with pytest.raises(ValueError, match=r"irradiance \(8, 8, 3\), but normal \(4, 4, 3\)"):
+    with pytest.raises(ValueError, match=r"irradiance \(8, 8, 3\) and normal \(4, 4, 3\)"):
         denoised(np.zeros((8, 8, 3), np.float32), np.zeros((4, 4, 3), np.float32))
     with pytest.raises(ValueError, match=r"irradiance \(8, 8\)"):
         denoised(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
