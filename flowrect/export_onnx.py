@@ -63,7 +63,7 @@ def export(network: Rectifier, card: Card, path: Path) -> None:
             dynamo=True,
             input_names=INPUTS,
             output_names=OUTPUTS,
-            optimize=False,  # two thirds of the time, for what runtimes do as they load
+            optimize=False,  # more than half of the time, for what runtimes do as they load
             verbose=False,
         )
     assert program is not None, "dynamo returns one"
