@@ -92,32 +92,31 @@ def instance(view: View, faces: FaceTable) -> NDArray[np.uint16]:
 def flow_status(scene: Scene, source: View, target: View) -> NDArray[np.uint8]:
     """Visibility (H, W) of the source's pixels in the target camera, with the surface bits."""
     w, h = source.camera.wh
-    T_target_source = target.camera.T_cam_world @ inverse(source.camera.T_cam_world)
-    projection = _Projection(source.camera, target.camera, T_target_source)
-    rays = _rays_from_pixels(target.camera)
-    uv = np.empty((2, h, w))
-    own_inverse_depth = np.empty((h, w))
+    seen_by_target = _Projection(source.camera, target.camera)
     in_frame = np.empty((h, w), dtype=bool)
     directions = np.empty((3, h, w), dtype=np.float32)
 
     def aim(rows: slice) -> None:
-        u, v, own = projection(rows, source.inverse_depth[rows])
-        inside = _in_frame(u, v, own, target.camera.wh)
-        uv[0, rows], uv[1, rows] = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
-        own_inverse_depth[rows], in_frame[rows] = own, inside
-        _direct(directions, rows, rays, uv[0, rows], uv[1, rows])
+        inverse_depth = source.inverse_depth[rows]
+        in_frame[rows] = seen_by_target.in_frame(rows, inverse_depth)
+        for k in range(3):
+            directions[k, rows] = seen_by_target.directions[k](rows, inverse_depth)
 
     _over_rows(aim, h)
-    hit = trace(scene, target.camera.centre, directions.reshape(3, -1)).reshape(h, w)
+    hit = trace(
+        scene, target.camera.centre, directions.reshape(3, -1), in_frame.reshape(-1)
+    ).reshape(h, w)
     status = np.empty((h, w), dtype=np.uint8)
     surface = np.append(np.uint8(GLASS) * scene.faces.glass, np.uint8(AT_INFINITY))
 
     def judge(rows: slice) -> None:
         own, first, inside = source.face[rows], hit[rows], in_frame[rows]
         seen = (first == own) | (first == NO_FACE)
-        other = np.nonzero(inside & ~seen)
-        reached = _affine(target.face_coeffs, first[other], uv[0, rows][other], uv[1, rows][other])
-        seen[other] = reached <= own_inverse_depth[rows][other] * (1 + SAME_SURFACE_REL)
+        other = np.nonzero(~seen)
+        inverse_depth = source.inverse_depth[rows][other]
+        u, v, s = seen_by_target.at((other[0] + rows.start, other[1]), inverse_depth)
+        reached = _affine(target.face_coeffs, first[other], u, v, s)
+        seen[other] = reached <= inverse_depth * (1 + SAME_SURFACE_REL)
         visibility = np.where(seen, np.uint8(VISIBLE), np.uint8(OCCLUDED))
         status[rows] = np.where(inside, visibility, np.uint8(OUT_OF_FRAME))
         status[rows] += np.take(surface, own, mode="wrap")
@@ -137,38 +136,78 @@ def _direct(directions: NDArray[np.float32], rows: slice, rays: Array, u: Array,
         directions[k, rows] = rays[k, 0] * u + (rays[k, 1] * v + rays[k, 2])
 
 
-def _affine(coeffs: Array, face: NDArray[np.int32], u: Array, v: Array) -> Array:
-    """Inverse depth at (u, v) of the planes of ``face``; of the last one where NO_FACE."""
+def _affine(
+    coeffs: Array, face: NDArray[np.int32], u: Array, v: Array, s: Array | float = 1.0
+) -> Array:
+    """s times the inverse depth at (u, v) / s of the planes of ``face``; the last one's where
+    NO_FACE."""
     a, b, c = (np.take(coeffs[:, k], face, mode="wrap") for k in range(3))
-    return a * u + (b * v + c)
+    return a * u + (b * v + c * s)
+
+
+@dataclass(frozen=True, eq=False)
+class _Form:
+    """A number that is affine in pixel and inverse depth: a u + b v + c + e w, in float64."""
+
+    a_u: Array
+    """(W,)"""
+    b: float
+    c: float
+    e: float
+
+    def __call__(self, rows: slice, inverse_depth: Array) -> Array:
+        """Of rows of pixels (h, W)."""
+        v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
+        value = inverse_depth * self.e
+        value += self.a_u + (self.b * v + self.c)
+        return value
+
+    def at(self, ij: tuple[NDArray[np.intp], NDArray[np.intp]], inverse_depth: Array) -> Array:
+        """Of single pixels (N,)."""
+        i, j = ij
+        return inverse_depth * self.e + (self.a_u[j] + (self.b * i + self.c))
 
 
 class _Projection:
-    """Source pixels with inverse depth → target pixels with inverse depth, in float64.
+    """Source pixels with inverse depth → where the target camera sees them, in float64.
 
-    With w = 1/z and x = K⁻¹ (u, v, 1): p_target · w = R x + t w, which holds at w = 0, too.
+    With w = 1/z and x = K⁻¹ (u, v, 1), the point is p_target · w = R x + t w in the target's frame,
+    which holds at w = 0, too. So its image (u, v) s, s, and the direction in which it lies from the
+    target, are affine in pixel and w; and it is in frame where four such forms have the right
+    sign: nothing is divided. Inverse depth in the target is w / s.
     """
 
-    def __init__(self, source: Camera, target: Camera, T_target_source: Array) -> None:
-        self.H = infinite_homography(source.K, target.K, T_target_source[:3, :3])
-        self.e = target.K @ T_target_source[:3, 3]
-        self.u = np.arange(source.wh[0], dtype=np.float64)
+    def __init__(self, source: Camera, target: Camera) -> None:
+        T_target_source = target.T_cam_world @ inverse(source.T_cam_world)
+        H = infinite_homography(source.K, target.K, T_target_source[:3, :3])
+        image = np.column_stack([H, target.K @ T_target_source[:3, 3]])
+        away = np.column_stack([_rays_from_pixels(source), source.centre - target.centre])
+        u = np.arange(source.wh[0], dtype=np.float64)
 
-    def __call__(self, rows: slice, inverse_depth: Array) -> tuple[Array, Array, Array]:
-        """Target u, v and inverse depth of rows of pixels; negative behind the target."""
-        v = np.arange(rows.start, rows.stop, dtype=np.float64)[:, None]
-        x, y, s = (
-            h[0] * self.u + (h[1] * v + h[2]) + e * inverse_depth
-            for h, e in zip(self.H, self.e, strict=True)
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return x / s, y / s, np.where(s > 0, inverse_depth / s, -1.0)
+        def forms(rows: Array) -> list[_Form]:
+            return [_Form(a * u, b, c, e) for a, b, c, e in rows]
 
+        (w, h), (x, y, s) = target.wh, image
+        self.image = forms(image)
+        self.directions = forms(away)
+        """in the world"""
+        self.from_first_edges = forms(np.stack([x + 0.5 * s, y + 0.5 * s]))
+        self.from_last_edges = forms(np.stack([(w - 0.5) * s - x, (h - 0.5) * s - y]))
 
-def _in_frame(u: Array, v: Array, inverse_depth: Array, wh: tuple[int, int]) -> NDArray[np.bool_]:
-    w, h = wh
-    ahead = inverse_depth >= 0
-    return ahead & (u >= -0.5) & (u < w - 0.5) & (v >= -0.5) & (v < h - 0.5)
+    def in_frame(self, rows: slice, inverse_depth: Array) -> NDArray[np.bool_]:
+        """Whether rows of pixels lie in the target's image: −½ ≤ u < W − ½, same for v, s > 0."""
+        inside = self.from_first_edges[0](rows, inverse_depth) >= 0
+        inside &= self.from_first_edges[1](rows, inverse_depth) >= 0
+        for form in self.from_last_edges:
+            inside &= form(rows, inverse_depth) > 0
+        return inside
+
+    def at(
+        self, ij: tuple[NDArray[np.intp], NDArray[np.intp]], inverse_depth: Array
+    ) -> tuple[Array, Array, Array]:
+        """Homogeneous target pixels u s, v s, s (N,) of single pixels."""
+        u, v, s = (form.at(ij, inverse_depth) for form in self.image)
+        return u, v, s
 
 
 def _rays_from_pixels(camera: Camera) -> Array:
@@ -206,24 +245,36 @@ def _over_rows(work: Callable[[slice], None], num: int, block: int = _ROWS) -> N
 # --- tracing: the only part that depends on the variant ----------------------------------------
 
 
-def trace(scene: Scene, origin: Array, directions: NDArray[np.float32]) -> NDArray[np.int32]:
-    """The first face id (N,) along rays (3, N) from ``origin``, NO_FACE where none."""
+def trace(
+    scene: Scene,
+    origin: Array,
+    directions: NDArray[np.float32],
+    active: NDArray[np.bool_] | None = None,
+) -> NDArray[np.int32]:
+    """The first face id (N,) along rays (3, N) from ``origin``, NO_FACE where none.
+
+    With ``active`` (N,), rays that are not are left out: NO_FACE.
+    """
     if directions.size == 0:  # Dr.Jit aborts the process on an empty batch
         return np.empty(0, dtype=np.int32)
+    if active is None:
+        active = np.ones(directions.shape[1], dtype=bool)
     if str(mi.variant()).startswith("scalar"):
-        return _trace_scalar(scene, origin, directions)
-    return _trace_wavefront(scene, origin, directions)
+        return _trace_scalar(scene, origin, directions, active)
+    return _trace_wavefront(scene, origin, directions, active)
 
 
 def _trace_wavefront(
-    scene: Scene, origin: Array, directions: NDArray[np.float32]
+    scene: Scene, origin: Array, directions: NDArray[np.float32], active: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
     # An opaque origin: as a literal it would be part of the kernel, and every frame would compile.
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in origin))
     # One array per axis: a stacked one is read with its length as a literal, which compiles, too.
     axes = (mi.Float(aligned(d)) for d in directions)
     ray = mi.Ray3f(point, mi.Vector3f(*axes))
-    hit = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
+    hit = scene.mi_scene.ray_intersect_preliminary(
+        ray, coherent=True, active=mi.Bool(aligned(active))
+    )
     pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in scene.shapes]
     slot_ids = [p.numpy()[0] for p in pointers]
     first_face = np.full(max(slot_ids) + 1, NO_FACE, dtype=np.int32)
@@ -235,14 +286,14 @@ def _trace_wavefront(
 
 
 def _trace_scalar(
-    scene: Scene, origin: Array, directions: NDArray[np.float32]
+    scene: Scene, origin: Array, directions: NDArray[np.float32], active: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
     """One ray at a time: only scalar_rgb works so."""
     first_face = {s: int(f) for s, f in zip(scene.shapes, scene.first_face, strict=True)}
     point, intersect = mi.Point3f(*origin.tolist()), scene.mi_scene.ray_intersect_preliminary
     faces = np.full(directions.shape[1], NO_FACE, dtype=np.int32)
-    for i, direction in enumerate(directions.T.tolist()):
-        hit = intersect(mi.Ray3f(point, mi.Vector3f(direction)), True)
+    for i in np.flatnonzero(active).tolist():
+        hit = intersect(mi.Ray3f(point, mi.Vector3f(directions[:, i].tolist())), True)
         if hit.is_valid():
             faces[i] = first_face[hit.shape] + hit.prim_index
     return faces
