@@ -470,11 +470,12 @@ class _Canvas:
         """
         h, w = self.band.shape
         fine = int(np.clip(np.ceil(self.texel[0] / 0.05), 1, 4))
-        raster = np.zeros((h, w * fine), dtype=np.uint8)
         points = self._visible(rings, fine)
+        if not points:
+            return np.zeros((h, w), dtype=np.float32)
+        raster = np.zeros((h, w * fine), dtype=np.uint8)
         for group in [points] if thin is None else [[p] for p in points]:
-            if group:
-                cv2.fillPoly(raster, group, 255, cv2.LINE_AA, shift=4)
+            cv2.fillPoly(raster, group, 255, cv2.LINE_AA, shift=4)
         coverage = cv2.resize(raster, (w, h), interpolation=cv2.INTER_AREA) if fine > 1 else raster
         weight = 1.0 if thin is None else min(1.0, thin / (self.texel[0] / fine))
         return coverage * np.float32(weight / 255)

@@ -180,14 +180,23 @@ def _face_normals(vertices: Vertices, faces: Faces) -> Vertices:
 
 def cross(a: ArrayLike, b: ArrayLike) -> Vertices:
     """Cross products (…, 3); np.cross is several times slower."""
-    (ux, uy, uz), (vx, vy, vz) = (np.moveaxis(np.asarray(x), -1, 0) for x in (a, b))
-    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=-1)
+    u, v = np.asarray(a), np.asarray(b)
+    ux, uy, uz = u[..., 0], u[..., 1], u[..., 2]
+    vx, vy, vz = v[..., 0], v[..., 1], v[..., 2]
+    x = uy * vz - uz * vy
+    product = np.empty((*x.shape, 3), x.dtype)
+    product[..., 0] = x
+    product[..., 1] = uz * vx - ux * vz
+    product[..., 2] = ux * vy - uy * vx
+    return product
 
 
 def _unit(vectors: NDArray[np.floating]) -> Vertices:
     """Unit vectors; up where there is no direction."""
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
-    return np.where(length > 0, vectors / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+    unit = vectors / np.maximum(length, 1e-30)
+    unit[length[:, 0] == 0] = [0.0, 0.0, 1.0]
+    return unit
 
 
 def _places(vertices: Vertices) -> NDArray[np.int64]:
@@ -206,6 +215,10 @@ def _meeting(point: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     mine = np.repeat(np.arange(len(point)), partners)
     step = np.arange(len(mine)) - np.repeat(np.cumsum(partners) - partners, partners)
     return mine, order[np.repeat(start[group], partners) + step]
+
+
+IMAGE_ROWS = 16
+"""of a full-size image, worked on while they are in the cache, see :func:`blocks`"""
 
 
 def blocks(num: int, size: int = 1 << 14) -> Iterator[slice]:

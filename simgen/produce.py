@@ -185,9 +185,12 @@ def radiance(
         for stage, spent in asdict(seconds).items():
             watch.seconds[stage] = watch.seconds.get(stage, 0.0) + spent
     with watch("haze"), ThreadPoolExecutor() as pool:
-        hazy = pool.map(lambda c: render.through_haze(c[0], c[1], c[2], air, visibility_m), clear)
-        lit = (glow.emitted(loaded, c, visibility_m) for c in plan.posed.cameras)
-        images = [image + light for image, light in zip(hazy, lit, strict=True)]
+        images = list(
+            pool.map(lambda c: render.through_haze(c[0], c[1], c[2], air, visibility_m), clear)
+        )
+        if len(loaded.glow.face):
+            for image, camera in zip(images, plan.posed.cameras, strict=True):
+                image += glow.emitted(loaded, camera, visibility_m)
     distances = [np.where(f.coverage > 0, f.distance_m, np.inf) for _, f, _ in clear]
     del clear
     with watch("haze"):

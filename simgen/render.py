@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from simgen.atmosphere import transmittance
 from simgen.denoiser import denoised
+from simgen.mesh import IMAGE_ROWS, blocks
 from simgen.rig import Camera
 from simgen.scene import Scene
 from simgen.skymap import seen_through
@@ -98,9 +99,13 @@ def through_haze(
     whole depth of the air.
     """
     lost = 1 - mean_transmittance(features, visibility_m)[..., None]
-    surfaces = radiance - features.sky
-    air = _smooth_map_seen(airlight, camera)
-    return radiance + lost * (air * features.coverage[..., None] - surfaces)
+    hazy = _smooth_map_seen(airlight, camera)
+    for rows in blocks(len(hazy), IMAGE_ROWS):
+        hazy[rows] *= features.coverage[rows, :, None]
+        hazy[rows] -= radiance[rows] - features.sky[rows]
+        hazy[rows] *= lost[rows]
+        hazy[rows] += radiance[rows]
+    return hazy
 
 
 def mean_transmittance(features: Features, visibility_m: float) -> Image:

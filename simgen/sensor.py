@@ -19,14 +19,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from simgen import lens, tone
-from simgen.mesh import blocks
+from simgen.mesh import IMAGE_ROWS, blocks
 from simgen.metering import Exposure
 
 Image = NDArray[Any]
 """float32"""
 
-_ROWS = 16
-"""of an image, worked on while they are in the cache"""
 _NORMAL = ndtri((np.arange(1 << 16) + 0.5) / (1 << 16)).astype(np.float32)
 """values of equal probability: drawing from them takes a quarter of the time of drawing floats"""
 
@@ -39,7 +37,7 @@ def develop(radiance: Image, exposure: Exposure, *, rng: np.random.Generator) ->
     if exposure.demosaic_px > 0:
         for plane in exposed:
             plane[:] = lens.blurred(plane, exposure.demosaic_px)
-    for rows in blocks(exposed.shape[1], _ROWS):
+    for rows in blocks(exposed.shape[1], IMAGE_ROWS):
         strip = tone.balanced(exposed[:, rows], exposure.white_balance, exposure.saturation)
         exposed[:, rows] = tone.encoded(tone.shown(strip, exposure.contrast))
     encoded = exposed
@@ -64,7 +62,7 @@ def _add_noise(exposed: Image, exposure: Exposure, *, rng: np.random.Generator) 
     """Gaussian approximation of shot noise (variance = electrons), and read noise, in place."""
     read_variance = np.float32((exposure.read_noise / exposure.electrons) ** 2)
     for plane in exposed:
-        for rows in blocks(len(plane), _ROWS):
+        for rows in blocks(len(plane), IMAGE_ROWS):
             variance = np.maximum(plane[rows], 0) / np.float32(exposure.electrons)
             variance += read_variance
             noise = np.take(_NORMAL, rng.integers(1 << 16, size=variance.shape, dtype=np.uint16))

@@ -22,7 +22,9 @@ from simgen.mesh import blocks
 Field = NDArray[np.float32]  # (N, N), one value per pixel
 Layer = tuple[Field, ArrayLike]  # (N, N) coverage in 0..1, and the sRGB 0..255 that covers
 
-_LINEAR_OF_BYTE = linear_from_srgb(np.arange(256, dtype=np.float32) / 255)
+_STEPS = (1 << 16) - 1  # of linear light in 16 bits: half a step is 1/40 of a dark byte's
+_LINEAR_OF_BYTE = np.rint(_STEPS * linear_from_srgb(np.arange(256) / 255)).astype(np.uint16)
+_BYTE_OF_LINEAR = np.rint(255 * srgb_from_linear(np.arange(_STEPS + 1) / _STEPS)).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +104,7 @@ def filtered(sheet: Sheet, factor: int) -> Sheet:
         raise ValueError(f"filtered: factor {factor} does not divide the sheet's {size} pixels")
     linear = cv2.LUT(sheet.image, _LINEAR_OF_BYTE)
     small = cv2.resize(linear, (size // factor,) * 2, interpolation=cv2.INTER_AREA)
-    return replace(sheet, image=np.rint(255 * srgb_from_linear(small)).astype(np.uint8))
+    return replace(sheet, image=np.take(_BYTE_OF_LINEAR, small))
 
 
 def _bytes(linear: ArrayLike) -> NDArray[np.float64]:

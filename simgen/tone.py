@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simgen.color import LUMINANCE_WEIGHTS, srgb_from_linear
 from simgen.lens import blurred
+from simgen.mesh import IMAGE_ROWS, blocks
 from simgen.metering import MIDDLE_GREY
 
 Image = NDArray[Any]
@@ -96,11 +97,17 @@ _SRGB = (255 * srgb_from_linear(np.arange(_STEPS + 1) / _STEPS)).astype(np.float
 def sharpen(encoded: Image, amount: float, sigma_px: float) -> None:
     """Adds detail of the luma to all planes, in place: an unsharp mask."""
     luma = np.tensordot(np.array(LUMA_WEIGHTS, np.float32), encoded, 1)
-    encoded += np.float32(amount) * (luma - blurred(luma, sigma_px))
+    luma -= blurred(luma, sigma_px)
+    luma *= np.float32(amount)
+    for plane in encoded:
+        plane += luma
 
 
 def rounded(encoded: Image) -> NDArray[np.uint8]:
     """Planes as an 8-bit image (H, W, 3)."""
-    levels = (np.clip(encoded, 0, 255) + np.float32(0.5)).astype(np.uint8)
+    levels = np.empty(encoded.shape, np.uint8)
+    for plane, level in zip(encoded, levels, strict=True):
+        for rows in blocks(len(plane), IMAGE_ROWS):
+            level[rows] = np.clip(plane[rows], 0, 255) + np.float32(0.5)
     image: NDArray[np.uint8] = cv2.merge(list(levels))
     return image
