@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simgen.geometry import Array, infinite_homography
 
 NUM_THREADS = min(4, os.cpu_count() or 1)  # beyond four, memory bandwidth is the limit
-_BLOCK_PIXELS = 1 << 16  # the float64 temporaries of a block stay in the cache
+_BLOCK_PIXELS = 1 << 14  # the float64 temporaries of a block stay in the cache
 
 
 def flow_from_depth(

@@ -75,8 +75,8 @@ def look(scene: Scene, camera: Camera) -> View:
 
 def depth(view: View) -> NDArray[np.float32]:
     """z-depth (H, W) [m], 0 where no surface."""
-    with np.errstate(divide="ignore"):
-        return np.where(view.inverse_depth > 0, 1.0 / view.inverse_depth, 0.0).astype(np.float32)
+    z = np.zeros(view.inverse_depth.shape, dtype=np.float32)
+    return np.divide(1.0, view.inverse_depth, out=z, where=view.inverse_depth > 0)
 
 
 def semantic(view: View, faces: FaceTable) -> NDArray[np.uint8]:
