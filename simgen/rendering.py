@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 
 from simgen import __version__, engine, given_map, progress, run
 from simgen.config import Job, RenderOptions, resolve
+from simgen.page import size_text
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
 from simgen.survey import read_log
@@ -164,9 +165,10 @@ def _announce(
     still = f"the {left} frames left take " if left < num else ""
     hours = left * estimate.seconds_per_frame / 3600
     time_text = f"{hours:.1f} h" if hours >= 1 else f"{max(1, round(hours * 60))} min"
+    size = size_text(left * estimate.bytes_per_frame)
     console.print(
-        f"{what}: {still}about {time_text} and {left * estimate.bytes_per_frame / 1e9:.2g} GB "
-        f"in {options.out}" + f", by {workers} workers" * (workers > 1)
+        f"{what}: {still}about {time_text} and {size} in {options.out}"
+        + f", by {workers} workers" * (workers > 1)
     )
 
 
