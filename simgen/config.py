@@ -186,12 +186,14 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         denoise=options.denoise,
         sensor=options.sensor,
         recipes=_taking_part(
-            _load_recipes(recipes) if recipes else _fitting(opendrive), named=bool(recipes)
+            _load_recipes(recipes) if recipes else _fitting(opendrive), "*", named=bool(recipes)
         ),
         daylight=_taking_part(
-            load_presets("daylight", DaylightTable, daylight), named=bool(daylight)
+            load_presets("daylight", DaylightTable, daylight), "daylight", named=bool(daylight)
         ),
-        weather=_taking_part(load_presets("weather", WeatherTable, weather), named=bool(weather)),
+        weather=_taking_part(
+            load_presets("weather", WeatherTable, weather), "weather", named=bool(weather)
+        ),
         frames_per_scene=options.frames_per_scene,
         flow=options.flow,
         compression=options.compression,
@@ -253,13 +255,16 @@ def _fitting(opendrive: bytes) -> dict[str, Recipe]:
     return {k: r for k, r in recipes.items() if not kind or r.road.kind == kind}
 
 
-def _taking_part(tables: dict[str, Any], *, named: bool) -> dict[str, Any]:
+def _taking_part(tables: dict[str, Any], stem: str, *, named: bool) -> dict[str, Any]:
     """Drops what has no share, unless it was named: then all that were named get the same."""
     if named and any(t.share == 0 for t in tables.values()):
         return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
     taking_part = {k: t for k, t in tables.items() if t.share > 0}
     if not taking_part:
-        raise UserError(f"{', '.join(tables)}: all have share = 0, so nothing can be drawn.")
+        raise UserError(
+            f"{scenes_dir() / f'{stem}.toml'}: {', '.join(tables)} all have share = 0, so nothing "
+            "can be drawn. Give one of them a share above 0, or name those that are to be drawn."
+        )
     return taking_part
 
 
