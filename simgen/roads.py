@@ -10,12 +10,16 @@ that somebody else drew may take the place of all that: see ``opendrive.py``.
 from __future__ import annotations
 
 import itertools
+import os
+import shutil
+import sys
 import tempfile
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import roadgen
@@ -128,13 +132,45 @@ def build(spec: SceneSpec, opendrive_map: bytes = b"") -> Network:
 
 @contextmanager
 def _panics_raised() -> Iterator[None]:
-    """A panic of roadgen's Rust core is no Exception, and cannot be pickled: makes it one."""
-    try:
-        yield
-    except BaseException as error:
-        if type(error).__name__ != "PanicException":
-            raise
-        raise RuntimeError(f"roadgen gave up on the terrain: {error}") from None
+    """A panic of roadgen's Rust core is no Exception, and cannot be pickled: makes it one.
+
+    What the core itself prints of a panic is left out: the exception says it.
+    """
+    with _stderr_held_back() as held:
+        try:
+            yield
+        except BaseException as error:
+            if type(error).__name__ != "PanicException":
+                raise
+            held.truncate(0)
+            raise RuntimeError(f"roadgen gave up on the terrain: {error}") from None
+
+
+_HOLDING = threading.Lock()
+
+
+@contextmanager
+def _stderr_held_back() -> Iterator[IO[bytes]]:
+    """A file that takes what the process, its native code included, writes to stderr meanwhile.
+
+    What is still in it at the end is written to stderr then. One thread at a time.
+    """
+    with _HOLDING, tempfile.TemporaryFile(prefix="simgen-") as held:
+        if sys.stderr is None:  # closed: descriptor 2 is nobody's, or some other file
+            yield held
+            return
+        sys.stderr.flush()
+        stderr = os.dup(2)
+        os.dup2(held.fileno(), 2)
+        try:
+            yield held
+        finally:
+            sys.stderr.flush()
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            held.seek(0)
+            with open(2, "wb", closefd=False) as stream:
+                shutil.copyfileobj(held, stream)
 
 
 # --- lines ---------------------------------------------------------------------------------------
