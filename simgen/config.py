@@ -16,15 +16,20 @@ from simgen.metering import SENSORS
 from simgen.recipe import (
     DaylightTable,
     Recipe,
+    SceneSpec,
     WeatherTable,
     checked,
+    draw_scene,
+    draw_sky,
     load_presets,
     load_recipe,
+    pick,
     read_toml,
     recipe_names,
     scenes_dir,
+    stream,
 )
-from simgen.rig import Rig
+from simgen.rig import Rig, drive_length
 from simgen.workers import num_cores
 
 MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
@@ -162,6 +167,14 @@ class Job:
         )
 
 
+def draw_spec(job: Job, scene_index: int, attempt: int) -> SceneSpec:
+    """The drawn scene, from (dataset seed, scene, attempt)."""
+    seed = (job.seed, scene_index, attempt)
+    name = pick({k: r.share for k, r in job.recipes.items()}, rng=stream(*seed, "which recipe"))
+    sky = draw_sky(job.daylight, job.weather, seed=seed)
+    return draw_scene(name, job.recipes[name], sky=sky, seed=seed)
+
+
 def resolve(options: RenderOptions, variant: str) -> Job:
     """Reads the rig, recipes and presets that the options name.
 
@@ -176,7 +189,8 @@ def resolve(options: RenderOptions, variant: str) -> Job:
 
         load_zstd("--compression zstd")
     w, h = rig.size
-    opendrive = load_map(options.opendrive) if options.opendrive else b""
+    drive_m = drive_length(options.frames_per_scene)
+    opendrive = load_map(options.opendrive, drive_m) if options.opendrive else b""
     return Job(
         seed=options.seed,
         rig_name=rig_name,
