@@ -94,6 +94,17 @@ Command = (
 
 def main(args: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status."""
+    try:
+        try:
+            return _run(args)
+        finally:
+            sys.stdout.flush()  # at exit, it would be too late to catch what this raises
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+def _run(args: Sequence[str] | None) -> int:
     options: Any = tyro.cli(
         Command,
         prog="simgen",
@@ -111,9 +122,6 @@ def main(args: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 130
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
 
 
 def _render(options: RenderOptions) -> int:

@@ -5,6 +5,7 @@ Notation as in ``opendrive.py``: station s, t to the left [m].
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 
 from simgen.errors import UserError
 from simgen.geometry import Array
-from simgen.opendrive import Geometry, Mark, Road, Section
+from simgen.opendrive import GAP_M, MAX_LANE_M, Geometry, Mark, Road, Section
 
 STEP_M = 1.0
 """between the points of a lane's line"""
@@ -34,6 +35,19 @@ def reference(road: Road, s: Array) -> tuple[Array, Array]:
         mine = piece == k
         xy[mine], heading[mine] = _along(geometry, s[mine] - geometry.s)
     return np.column_stack([xy, road.elevation(s)]), heading
+
+
+def require_whole(road: Road) -> None:
+    """UserError if a piece of the reference line begins elsewhere than the last one ends."""
+    for k, (before, after) in enumerate(itertools.pairwise(road.planview), start=1):
+        num = 2 + int(before.length / STEP_M)
+        end = _along(before, np.linspace(0.0, before.length, num))[0][-1]
+        gap = float(np.hypot(*(end - [after.x, after.y])))
+        if not gap <= GAP_M:
+            raise UserError(
+                f"road {road.id}: piece {k} of its <planView> begins {gap:g} m from where the "
+                f"piece before it ends; expected at most {GAP_M:g} m."
+            )
 
 
 def _along(g: Geometry, s: Array) -> tuple[Array, Array]:
@@ -184,8 +198,17 @@ def _laid_out(road: Road, section: Section) -> tuple[Array, Array, dict[int, Arr
             )
         if lane.number:
             width = np.maximum(lane.width(s - section.start), 0.0)
+            _require_narrow(road, lane.number, width)
             borders[lane.number] = borders[_inner(lane.number)] + np.sign(lane.number) * width
     return base, heading, borders, s
+
+
+def _require_narrow(road: Road, number: int, width: Array) -> None:
+    if width.max() > MAX_LANE_M:
+        raise UserError(
+            f"road {road.id}: lane {number} is {width.max():g} m wide; expected at most "
+            f"{MAX_LANE_M:g} m."
+        )
 
 
 def _beside(base: Array, heading: Array, t: Array) -> Array:

@@ -16,15 +16,20 @@ from simgen.metering import SENSORS
 from simgen.recipe import (
     DaylightTable,
     Recipe,
+    SceneSpec,
     WeatherTable,
     checked,
+    draw_scene,
+    draw_sky,
     load_presets,
     load_recipe,
+    pick,
     read_toml,
     recipe_names,
     scenes_dir,
+    stream,
 )
-from simgen.rig import Rig
+from simgen.rig import Rig, drive_length
 from simgen.workers import num_cores
 
 MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
@@ -162,6 +167,14 @@ class Job:
         )
 
 
+def draw_spec(job: Job, scene_index: int, attempt: int) -> SceneSpec:
+    """The drawn scene, from (dataset seed, scene, attempt)."""
+    seed = (job.seed, scene_index, attempt)
+    name = pick({k: r.share for k, r in job.recipes.items()}, rng=stream(*seed, "which recipe"))
+    sky = draw_sky(job.daylight, job.weather, seed=seed)
+    return draw_scene(name, job.recipes[name], sky=sky, seed=seed)
+
+
 def resolve(options: RenderOptions, variant: str) -> Job:
     """Reads the rig, recipes and presets that the options name.
 
@@ -176,7 +189,8 @@ def resolve(options: RenderOptions, variant: str) -> Job:
 
         load_zstd("--compression zstd")
     w, h = rig.size
-    opendrive = load_map(options.opendrive) if options.opendrive else b""
+    drive_m = drive_length(options.frames_per_scene)
+    opendrive = load_map(options.opendrive, drive_m) if options.opendrive else b""
     return Job(
         seed=options.seed,
         rig_name=rig_name,
@@ -186,12 +200,14 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         denoise=options.denoise,
         sensor=options.sensor,
         recipes=_taking_part(
-            _load_recipes(recipes) if recipes else _fitting(opendrive), named=bool(recipes)
+            _load_recipes(recipes) if recipes else _fitting(opendrive), "*", named=bool(recipes)
         ),
         daylight=_taking_part(
-            load_presets("daylight", DaylightTable, daylight), named=bool(daylight)
+            load_presets("daylight", DaylightTable, daylight), "daylight", named=bool(daylight)
         ),
-        weather=_taking_part(load_presets("weather", WeatherTable, weather), named=bool(weather)),
+        weather=_taking_part(
+            load_presets("weather", WeatherTable, weather), "weather", named=bool(weather)
+        ),
         frames_per_scene=options.frames_per_scene,
         flow=options.flow,
         compression=options.compression,
@@ -253,13 +269,16 @@ def _fitting(opendrive: bytes) -> dict[str, Recipe]:
     return {k: r for k, r in recipes.items() if not kind or r.road.kind == kind}
 
 
-def _taking_part(tables: dict[str, Any], *, named: bool) -> dict[str, Any]:
+def _taking_part(tables: dict[str, Any], stem: str, *, named: bool) -> dict[str, Any]:
     """Drops what has no share, unless it was named: then all that were named get the same."""
     if named and any(t.share == 0 for t in tables.values()):
         return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
     taking_part = {k: t for k, t in tables.items() if t.share > 0}
     if not taking_part:
-        raise UserError(f"{', '.join(tables)}: all have share = 0, so nothing can be drawn.")
+        raise UserError(
+            f"{scenes_dir() / f'{stem}.toml'}: {', '.join(tables)} all have share = 0, so nothing "
+            "can be drawn. Give one of them a share above 0, or name those that are to be drawn."
+        )
     return taking_part
 
 

@@ -9,8 +9,11 @@ rig as OpenCV YAML, which flowrect.rectify starts from.
 
 from __future__ import annotations
 
+import errno
 import json
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,31 +31,69 @@ from simgen.shards import Frame, ShardSet
 
 
 def export_frame(folder: Path, index: int, to: Path) -> list[Path]:
-    """Writes the files of one frame and returns their paths.
+    """Writes the files of one frame and returns their paths: all of them, or none.
 
-    Raises UserError if the set has no such frame, or renders otherwise than it did.
+    Raises UserError if the set has no such frame, renders otherwise than it did, or cannot be
+    written.
     """
     frames = ShardSet(folder)
     frame = frames.frame(index)
     config = frames.manifest.config
-    job = Job.from_content(config, given_map.kept(folder, config["opendrive"]))
+    # Sets from before maps do not name theirs.
+    job = Job.from_content(config, given_map.kept(folder, config.get("opendrive", "")))
+    with _waiting_folder(to) as waiting:
+        radiances = _render_again(job, frame)
+        with _writing(to):
+            _write(waiting, frame, radiances)
+            return _moved(waiting, to)
+
+
+@contextmanager
+def _waiting_folder(to: Path) -> Iterator[Path]:
+    """A folder within ``to``, so on its disk; what was made for it and stays empty is removed."""
+    made = [folder for folder in (to, *to.parents) if not folder.exists()]
     try:
-        to.mkdir(parents=True, exist_ok=True)
-        (to / "frame.json").touch()
-    except OSError as error:
-        raise UserError(f"--to {to}: cannot be written to ({error.strerror}).") from error
-    radiances = _render_again(job, frame)
-    paths = []
+        with _writing(to):
+            to.mkdir(parents=True, exist_ok=True)
+            waiting = tempfile.TemporaryDirectory(prefix=".export-", dir=to)
+        with waiting as name:
+            yield Path(name)
+    finally:
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+@contextmanager
+def _writing(to: Path) -> Iterator[None]:
+    """OpenEXR raises RuntimeError, and OpenCV its own, where a disk is full or not there."""
+    try:
+        yield
+    except (OSError, RuntimeError, cv2.error) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise UserError(
+            f"--to {to}: cannot be written to ({reason}). Nothing was exported; free some space, "
+            "or choose another folder."
+        ) from error
+
+
+def _write(folder: Path, frame: Frame, radiances: Sequence[NDArray[np.float32]]) -> None:
     for c, radiance in enumerate(radiances):
-        paths.append(_write_exr(to / f"camera-{c}.exr", camera_channels(frame, c, radiance)))
-        paths.append(to / f"camera-{c}.png")
-        cv2.imwrite(str(paths[-1]), frame.read("image", c)[..., ::-1])
+        _write_exr(folder / f"camera-{c}.exr", camera_channels(frame, c, radiance))
+        _write_png(folder / f"camera-{c}.png", frame.read("image", c))
     for p, (left, right) in enumerate(frame.pairs):
-        paths.append(_write_exr(to / f"pair-{left}-{right}.exr", pair_channels(frame, p)))
-        paths.append(write_nominal_rig(to / f"pair-{left}-{right}.yaml", frame, p))
-    paths.append(to / "frame.json")
-    paths[-1].write_text(json.dumps(_cameras(frame), indent=1), encoding="utf-8")
-    return paths
+        _write_exr(folder / f"pair-{left}-{right}.exr", pair_channels(frame, p))
+        write_nominal_rig(folder / f"pair-{left}-{right}.yaml", frame, p)
+    (folder / "frame.json").write_text(json.dumps(_cameras(frame), indent=1), encoding="utf-8")
+
+
+def _moved(waiting: Path, to: Path) -> list[Path]:
+    """Puts the finished files into place."""
+    paths = sorted(waiting.iterdir())
+    for path in paths:
+        if (to / path.name).is_dir():
+            raise IsADirectoryError(errno.EISDIR, f"{path.name} is a folder there")
+    return [path.replace(to / path.name) for path in paths]
 
 
 def camera_channels(frame: Frame, c: int, radiance: NDArray[np.float32]) -> dict[str, Any]:
@@ -82,14 +123,15 @@ def write_nominal_rig(path: Path, frame: Frame, p: int) -> Path:
     T_world = frame.T_world_cam_nominal
     T_right_left = inverse(T_world[right]) @ T_world[left]
     height, width = frame.read("image", left).shape[:2]
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    # In memory: a file on a full disk would be cut off without a word.
+    storage = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", width)
     storage.write("image_height", height)
     storage.write("K_left", frame.K[left])
     storage.write("K_right", frame.K[right])
     storage.write("R", T_right_left[:3, :3])
     storage.write("T", T_right_left[:3, 3:])
-    storage.release()
+    path.write_text(storage.releaseAndGetString(), encoding="utf-8")
     return path
 
 
@@ -130,12 +172,18 @@ def _require_same(frame: Frame, spec: dict[str, Any], cameras: Sequence[Camera],
         )
 
 
-def _write_exr(path: Path, channels: Mapping[str, NDArray[Any]]) -> Path:
+def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
+    done, data = cv2.imencode(".png", image[..., ::-1])
+    if not done:
+        raise RuntimeError(f"OpenCV cannot encode {path.name}")
+    path.write_bytes(data.tobytes())
+
+
+def _write_exr(path: Path, channels: Mapping[str, NDArray[Any]]) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     data = {name: np.ascontiguousarray(value) for name, value in channels.items()}
     with OpenEXR.File(header, data) as file:
         file.write(str(path))
-    return path
 
 
 def read_exr(path: Path) -> dict[str, NDArray[Any]]:

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from simgen.alignment import Strip, followed, strips
+from simgen.alignment import Strip, followed, require_whole, strips
 from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.opendrive import COEFFICIENTS, Element, lane_shape, parsed, read
@@ -23,6 +23,8 @@ from simgen.opendrive import COEFFICIENTS, Element, lane_shape, parsed, read
 MAX_BYTES = 64 << 20
 SIGHT_M = 50.0
 """The rig is put where its lane goes on for at least so long."""
+AFTER_DRIVE_M = 4.0
+"""and so far beyond the place of the last frame"""
 DRIVE_M = 400.0
 """A drive is followed over so much of the lanes ahead."""
 
@@ -30,8 +32,8 @@ DRIVE_M = 400.0
 # --- the file ------------------------------------------------------------------------------------
 
 
-def load(path: Path) -> bytes:
-    """The bytes of a map; UserError if it is not one that can be driven on."""
+def load(path: Path, drive_m: float = 0.0) -> bytes:
+    """The bytes of a map; UserError if it is not one that can be driven on for ``drive_m``."""
     try:
         size = path.stat().st_size
         data = path.read_bytes() if size <= MAX_BYTES else b""
@@ -43,7 +45,9 @@ def load(path: Path) -> bytes:
             "map down to the roads that are to be driven on."
         )
     try:
-        starts(data)
+        for road in read(data):
+            require_whole(road)
+        starts(data, drive_m)
     except UserError as error:
         raise UserError(f"--opendrive {path}: {error}") from error
     return data
@@ -96,20 +100,22 @@ def all_strips(data: bytes) -> tuple[Strip, ...]:
 
 
 @lru_cache(maxsize=2)
-def starts(data: bytes) -> tuple[Start, ...]:
-    """Where a drive can begin; UserError if no lane is long enough."""
+def starts(data: bytes, drive_m: float = 0.0) -> tuple[Start, ...]:
+    """Where a drive of so many metres can begin; UserError if no lane is long enough."""
+    ahead = max(SIGHT_M, drive_m + AFTER_DRIVE_M)
     driving = [x for x in all_strips(data) if x.kind == "driving"]
     found = []
     for strip in driving:
         if strip.junction == "-1":
             centre = followed(strip.centre, [d.centre for d in driving], DRIVE_M)
-            usable = min(_length(strip.centre), _length(centre) - SIGHT_M)
+            usable = min(_length(strip.centre), _length(centre) - ahead)
             if usable > 0:
                 found.append(Start(strip, centre, usable))
     if not found:
+        fewer = " Ask for fewer --frames-per-scene, or for" if ahead > SIGHT_M else " Take"
         raise UserError(
-            f"too short to drive on: no driving lane goes on for {SIGHT_M:g} m, the next lanes "
-            "that it leads to included."
+            f"too short to drive on: no driving lane goes on for {ahead:g} m, the next lanes "
+            f"that it leads to included.{fewer} a map of longer roads."
         )
     return tuple(found)
 
@@ -125,11 +131,12 @@ _KIND_OF_TYPE = {"motorway": "motorway", "rural": "rural", "lowSpeed": "town"}
 def road_kind(data: bytes) -> str:
     """Of most of a map's metres (town, rural, motorway); empty where no road states its type."""
     metres: defaultdict[str, float] = defaultdict(float)
-    for road in parsed(data).findall("road"):
+    roads = parsed(data).findall("road")
+    for road, length in zip(roads, [r.length for r in read(data)], strict=True):
         stated = road.find("type")
         name = "" if stated is None else stated.get("type", "")
         kind = "town" if name.startswith("town") else _KIND_OF_TYPE.get(name, "")
-        metres[kind] += float(road.get("length", "0"))
+        metres[kind] += length
     metres.pop("", None)
     return max(metres, key=lambda kind: metres[kind], default="")
 

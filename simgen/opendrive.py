@@ -13,6 +13,7 @@ Source: ASAM OpenDRIVE 1.8.0, sections 8 (geometry), 10 (roads), 11 (lanes), 13 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +28,11 @@ Element = ElementTree.Element
 
 MAX_COORDINATE_M = 1e8
 """beyond the size of the earth; UTM coordinates are below 1e7"""
+MAX_ROAD_M = 100e3
+MAX_LANE_M = 50.0
+"""wider than any lane, squares and tracks beside the road included"""
+GAP_M = 1.0
+"""Pieces of a reference line that lie further apart do not belong to one road."""
 
 KINDS = {
     **dict.fromkeys(("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp",
@@ -154,12 +160,20 @@ def read(data: bytes) -> tuple[Road, ...]:
     elements = root.findall("road")
     if not elements:
         raise UserError("the map is empty: no <road> in it.")
+    _require_own_ids(elements)
     roads = tuple(_road(e) for e in elements)
     if not any(lane.kind == "driving" for r in roads for x in r.sections for lane in x.lanes):
         raise UserError(
             f"none of its {len(roads)} roads has a lane of type driving (or bus, entry, …)."
         )
     return roads
+
+
+def _require_own_ids(elements: Sequence[Element]) -> None:
+    times = Counter(e.get("id", "") for e in elements)
+    (name, num), *_ = times.most_common(1)
+    if num > 1:
+        raise UserError(f"{num} roads have id={name!r}; expected an id of its own for each road.")
 
 
 class _NoDoctype(ElementTree.TreeBuilder):
@@ -192,7 +206,7 @@ def _road(element: Element) -> Road:
         planview = tuple(_geometry(g) for g in element.iterfind("planView/geometry"))
         if not planview:
             raise UserError("no <geometry> in its <planView>.")
-        length = planview[-1].s + planview[-1].length
+        length = _length(element, planview)
         return Road(
             id=name,
             junction=element.get("junction", "-1"),
@@ -205,6 +219,24 @@ def _road(element: Element) -> Road:
         )
     except UserError as error:
         raise UserError(f"road {name}: {error}") from error
+
+
+def _length(element: Element, planview: Sequence[Geometry]) -> float:
+    """Of a road: where its pieces, which must follow each other, end."""
+    end = 0.0
+    for k, g in enumerate(planview):
+        if abs(g.s - end) > GAP_M:
+            raise UserError(
+                f"piece {k} of its <planView> has s={g.s:g}; expected {end:g}, "
+                f"{'where the piece before it ends' if k else 'the start of the road'}."
+            )
+        end = g.s + g.length
+    longest = max(end, _number(element, "length", 0.0))
+    if longest > MAX_ROAD_M:
+        raise UserError(
+            f"it is {longest / 1000:g} km long; expected at most {MAX_ROAD_M / 1000:g} km."
+        )
+    return end
 
 
 def _number(element: Element, name: str, default: float | None = None) -> float:

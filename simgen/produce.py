@@ -40,11 +40,11 @@ from simgen import (
     world,
 )
 from simgen.checks import check_frame
-from simgen.config import Job
+from simgen.config import Job, draw_spec
 from simgen.engine import Engine, activate
 from simgen.ground import Optics
 from simgen.metering import Exposure, expose
-from simgen.recipe import SceneSpec, SkySpec, draw_scene, draw_sky, pick, stream
+from simgen.recipe import SceneSpec, SkySpec, stream
 from simgen.rig import PosedRig, pose
 from simgen.run import MAX_ATTEMPTS, FrameRejected, FrameResult, FrameTask
 from simgen.store import write_frame
@@ -92,14 +92,6 @@ class FramePlan:
 def scene_of(frame_index: int, frames_per_scene: int) -> int:
     """Frames i of one scene are consecutive."""
     return frame_index // frames_per_scene
-
-
-def draw_spec(job: Job, scene_index: int, attempt: int) -> SceneSpec:
-    """The drawn scene, from (dataset seed, scene, attempt)."""
-    seed = (job.seed, scene_index, attempt)
-    name = pick({k: r.share for k, r in job.recipes.items()}, rng=stream(*seed, "which recipe"))
-    sky = draw_sky(job.daylight, job.weather, seed=seed)
-    return draw_scene(name, job.recipes[name], sky=sky, seed=seed)
 
 
 def plan_frame(job: Job, index: int, attempt: int) -> FramePlan:

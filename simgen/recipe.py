@@ -490,6 +490,8 @@ def load_presets(kind: str, table: type[T], chosen: tuple[str, ...] = ()) -> dic
     """The presets of scenes/{daylight,weather}.toml; only the ``chosen`` ones if any are named."""
     path = scenes_dir() / f"{kind}.toml"
     presets = {k: checked(table, v, f"{path} [{k}]") for k, v in read_toml(path).items()}
+    if not presets:
+        raise UserError(f"{path}: holds no preset; expected tables like [name], each with share.")
     for name in chosen:
         if name not in presets:
             raise UserError(

@@ -14,7 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from simgen import __version__, engine, given_map, progress, run
-from simgen.config import Job, RenderOptions, resolve
+from simgen.config import Job, RenderOptions, draw_spec, resolve
+from simgen.errors import UserError
+from simgen.page import size_text
+from simgen.rig import drive_length
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
 from simgen.survey import read_log
@@ -65,6 +68,8 @@ def render(options: RenderOptions) -> int:
     folder = run.SetFolder(options.out)
     folder.check_is_ours()
     left = len(set_plan.frames) - folder.num_done(set_plan)
+    if options.opendrive and left:
+        _require_buildable(options.opendrive, job)
     workers = options.workers or num_workers(job.wh, len(job.rig.camera_y_m), left)
     estimate = _estimate(job, options.out, workers)
     _announce(console, job, options, set_plan, left, estimate, workers)
@@ -83,6 +88,26 @@ def render(options: RenderOptions) -> int:
                 compression=options.compression, progress=display.hooks,
             )  # fmt: skip
     return _conclude(console, manifest, options.out)
+
+
+def _require_buildable(path: Path, job: Job) -> None:
+    """UserError if the first scene's roads break in every draw: so would all, or most, others'.
+
+    Before the folder is made, which would then be bound to this map.
+    """
+    from simgen import roads  # not needed without a map
+
+    for attempt in range(run.MAX_ATTEMPTS):
+        try:
+            roads.build(draw_spec(job, 0, attempt), job.opendrive,
+                        drive_m=drive_length(job.frames_per_scene))  # fmt: skip
+            return
+        except (ValueError, RuntimeError, LookupError, ArithmeticError) as error:
+            reason = str(error).partition("\n")[0]
+    raise UserError(
+        f"--opendrive {path}: its roads cannot be built, wherever the rig starts ({attempt + 1} "
+        f"places tried); of the last: {reason}. Mend the map, or cut it down to sound roads."
+    )
 
 
 def _render_one() -> run.RenderOne:
@@ -164,9 +189,10 @@ def _announce(
     still = f"the {left} frames left take " if left < num else ""
     hours = left * estimate.seconds_per_frame / 3600
     time_text = f"{hours:.1f} h" if hours >= 1 else f"{max(1, round(hours * 60))} min"
+    size = size_text(left * estimate.bytes_per_frame)
     console.print(
-        f"{what}: {still}about {time_text} and {left * estimate.bytes_per_frame / 1e9:.2g} GB "
-        f"in {options.out}" + f", by {workers} workers" * (workers > 1)
+        f"{what}: {still}about {time_text} and {size} in {options.out}"
+        + f", by {workers} workers" * (workers > 1)
     )
 
 

@@ -25,6 +25,14 @@ from simgen.geometry import (
 )
 from simgen.recipe import Interval, Table, draw, within
 
+FRAME_STEP_M = 3.0
+"""How far the rig drives between two frames of a scene."""
+
+
+def drive_length(num_frames: int) -> float:
+    """From the first frame of a scene to the last [m]."""
+    return FRAME_STEP_M * (num_frames - 1)
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:

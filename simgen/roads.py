@@ -10,12 +10,16 @@ that somebody else drew may take the place of all that: see ``opendrive.py``.
 from __future__ import annotations
 
 import itertools
+import os
+import shutil
+import sys
 import tempfile
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import roadgen
@@ -112,14 +116,16 @@ class Network:
         return [lane for lane in self.lanes if lane.kind == "driving" and not lane.in_junction]
 
 
-def build(spec: SceneSpec, opendrive_map: bytes = b"") -> Network:
+def build(spec: SceneSpec, opendrive_map: bytes = b"", *, drive_m: float = 0.0) -> Network:
     """Builds the network of a scene; ``opendrive_map`` is an OpenDRIVE file to drive through.
+
+    There, the rig starts where its lane goes on for a drive of ``drive_m``.
 
     Raises RuntimeError where roadgen's triangulation gives up.
     """
     with _panics_raised():
         if opendrive_map:
-            return _moved(_read_given(opendrive_map, spec))
+            return _moved(_read_given(opendrive_map, spec, drive_m))
         plan = _Plan(spec)
         raw = _read(plan, spec)
         lane, station = _choose_rig_lane(raw, spec, rng=spec.stream("rig lane"))
@@ -128,13 +134,45 @@ def build(spec: SceneSpec, opendrive_map: bytes = b"") -> Network:
 
 @contextmanager
 def _panics_raised() -> Iterator[None]:
-    """A panic of roadgen's Rust core is no Exception, and cannot be pickled: makes it one."""
-    try:
-        yield
-    except BaseException as error:
-        if type(error).__name__ != "PanicException":
-            raise
-        raise RuntimeError(f"roadgen gave up on the terrain: {error}") from None
+    """A panic of roadgen's Rust core is no Exception, and cannot be pickled: makes it one.
+
+    What the core itself prints of a panic is left out: the exception says it.
+    """
+    with _stderr_held_back() as held:
+        try:
+            yield
+        except BaseException as error:
+            if type(error).__name__ != "PanicException":
+                raise
+            held.truncate(0)
+            raise RuntimeError(f"roadgen gave up on the terrain: {error}") from None
+
+
+_HOLDING = threading.Lock()
+
+
+@contextmanager
+def _stderr_held_back() -> Iterator[IO[bytes]]:
+    """A file that takes what the process, its native code included, writes to stderr meanwhile.
+
+    What is still in it at the end is written to stderr then. One thread at a time.
+    """
+    with _HOLDING, tempfile.TemporaryFile(prefix="simgen-") as held:
+        if sys.stderr is None:  # closed: descriptor 2 is nobody's, or some other file
+            yield held
+            return
+        sys.stderr.flush()
+        stderr = os.dup(2)
+        os.dup2(held.fileno(), 2)
+        try:
+            yield held
+        finally:
+            sys.stderr.flush()
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            held.seek(0)
+            with open(2, "wb", closefd=False) as stream:
+                shutil.copyfileobj(held, stream)
 
 
 # --- lines ---------------------------------------------------------------------------------------
@@ -440,13 +478,17 @@ def resampled_2d(line: Array) -> Array:
 
 REACH_M = 650.0
 """Roads that come no nearer to the rig are left out."""
+MAX_LAND_M2 = 100e6
+"""of the box around the others and their land, which takes half a minute"""
 
 
-def _read_given(data: bytes, spec: SceneSpec) -> Network:
+def _read_given(data: bytes, spec: SceneSpec, drive_m: float) -> Network:
     """The part of an OpenDRIVE map around a place drawn for the rig."""
-    start, station = _choose_start(given_map.starts(data), spec, rng=spec.stream("rig lane"))
+    starts = given_map.starts(data, drive_m)
+    start, station = _choose_start(starts, spec, rng=spec.stream("rig lane"))
     origin = points_at(start.centre, station) * [1.0, 1.0, 0.0]
     near = {x.road for x in given_map.all_strips(data) if _reaches(x.centre, origin)}
+    _require_small([x.centre for x in given_map.all_strips(data) if x.road in near])
     roads = [alignment.moved(r, origin) for r in opendrive.read(data) if r.id in near]
     road_map = _parsed(given_map.canonical(data, near, origin, spec.road.kind))
     surfaces = _land(road_map, spec, GIVEN_LAND_MARGIN_M, rng=spec.stream("roads"))
@@ -478,6 +520,16 @@ def _choose_start(
 
 def _reaches(line: Array, xyz: Array) -> bool:
     return bool(np.linalg.norm(line[:, :2] - xyz[:2], axis=1).min() < REACH_M)
+
+
+def _require_small(lines: Sequence[Array]) -> None:
+    points = np.concatenate(lines)[:, :2]
+    x, y = points.max(axis=0) - points.min(axis=0) + 2 * GIVEN_LAND_MARGIN_M
+    if x * y > MAX_LAND_M2:
+        raise RuntimeError(
+            f"the roads that pass the rig, with their land, fill {x / 1000:.1f} km × "
+            f"{y / 1000:.1f} km; expected at most {MAX_LAND_M2 / 1e6:g} km²: split long roads"
+        )
 
 
 def _parsed(text: str) -> Any:

@@ -28,6 +28,7 @@ from pebble import ProcessPool
 
 from simgen import __version__
 from simgen.errors import UserError
+from simgen.page import size_text
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import MANIFEST, Manifest, ShardEntry, open_shard
 from simgen.store import Source, assemble, stored_content
@@ -259,8 +260,8 @@ def check_disk(path: Path, bytes_needed: float, *, force: bool) -> None:
     free = shutil.disk_usage(existing).free
     if bytes_needed > free and not force:
         raise UserError(
-            f"{path}: the set needs about {bytes_needed / 1e9:.1f} GB, but only "
-            f"{free / 1e9:.1f} GB are free. Free some space, choose another disk with "
+            f"{path}: the set needs about {size_text(bytes_needed)}, but only "
+            f"{size_text(free)} are free. Free some space, choose another disk with "
             "--out, a smaller --n or --size, --no-flow or --compression zstd, or start anyway "
             "with --force."
         )

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,10 @@ from simgen.schema import FIELDS, SCHEMA_VERSION
 MANIFEST = "manifest.json"
 ZSTD_FILTER_ID = 32015
 SPLITS = ("train", "test")
+CONFIG_KEYS = ("seed", "rig", "size", "spp", "denoise", "sensor", "recipes", "daylight", "weather",
+               "frames_per_scene", "flow", "compression", "variant")  # fmt: skip
+"""of a manifest's config, in sets of all versions"""
+RIG_KEYS = ("name", "pairs")
 
 
 @dataclass(frozen=True)
@@ -90,9 +95,18 @@ class Manifest:
                 "the simgen that wrote it, or render the set again."
             )
         try:
-            return cls(**{**data, "shards": [ShardEntry(**s) for s in data["shards"]]})
+            manifest = cls(**{**data, "shards": [ShardEntry(**s) for s in data["shards"]]})
+            lacking = [k for k in CONFIG_KEYS if k not in manifest.config]
+            if "rig" in manifest.config:
+                lacking += [f"rig.{k}" for k in RIG_KEYS if k not in manifest.config["rig"]]
         except (KeyError, TypeError) as error:
             raise UserError(f"{path}: not a manifest of simgen ({error}).") from error
+        if lacking:
+            raise UserError(
+                f"{path}: its config lacks {', '.join(lacking)}; expected all that simgen render "
+                "writes there. Put the original back, or render the set again."
+            )
+        return manifest
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -174,9 +188,16 @@ class Frame:
     def read(self, name: str, which: int | None = None) -> NDArray[Any]:
         """A field of the schema, whole or only one camera's (or pair's) slice of it."""
         dataset = self._file[name]
-        try:
+        with self._decoding(name):
             return np.asarray(dataset[self._row] if which is None else dataset[self._row, which])
-        except OSError as error:
+
+    @contextmanager
+    def _decoding(
+        self, name: str, errors: tuple[type[Exception], ...] = (OSError,)
+    ) -> Iterator[None]:
+        try:
+            yield
+        except errors as error:
             raise UserError(
                 f"{self._path}: {name!r} of row {self._row} cannot be decoded ({error}): the file "
                 "is damaged. Delete it and run the same render command again, or copy it anew."
@@ -194,12 +215,16 @@ class Frame:
     @property
     def spec(self) -> dict[str, Any]:
         """What was drawn, and how it was rendered."""
-        return dict(json.loads(self._file["spec"].asstr()[self._row]))
+        dataset = self._file["spec"]
+        with self._decoding("spec", (OSError, ValueError, TypeError)):
+            return dict(json.loads(dataset.asstr()[self._row]))
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Camera indices (left, right)."""
-        return [(int(a), int(b)) for a, b in self._file["pairs"][:]]
+        dataset = self._file["pairs"]
+        with self._decoding("pairs"):
+            return [(int(a), int(b)) for a, b in dataset[:]]
 
     def flow(self, pair: int) -> NDArray[np.float32]:
         """Left to right flow (H, W, 2) [px] on the left pixels: stored, or derived bit for bit."""

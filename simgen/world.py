@@ -31,18 +31,17 @@ from simgen import (
 )
 from simgen.alignment import followed
 from simgen.geometry import Array, rotation_from_vector, transform
+from simgen.given_map import AFTER_DRIVE_M
 from simgen.layout import Layout, Mover, Placed
 from simgen.materials import MATERIALS
 from simgen.mesh import Part
 from simgen.recipe import SceneSpec
+from simgen.rig import FRAME_STEP_M, drive_length
 from simgen.roads import Network, at_station, points_at, stations
 from simgen.scene import World
 from simgen.schema import LABELS
 from simgen.signs import sign_atlas
 from simgen.site import Site
-
-FRAME_STEP_M = 3.0
-"""How far the rig drives between two frames of a scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +60,12 @@ def drive(spec: SceneSpec, step: int, opendrive_map: bytes = b"", *, num_steps: 
 
     Raises RuntimeError where the road ends before the last of them.
     """
-    network = roads.build(spec, opendrive_map)
+    length = drive_length(num_steps)
+    network = roads.build(spec, opendrive_map, drive_m=length)
     rng = spec.stream(f"pose {step}")
-    start, length = network.rig_station, FRAME_STEP_M * (num_steps - 1)
+    start = network.rig_station
     others = [x.centre for x in network.lanes if x.kind == "driving"]
-    line = followed(network.rig_lane.centre, others, start + length + 4.0)
+    line = followed(network.rig_lane.centre, others, start + length + AFTER_DRIVE_M)
     if stations(line)[-1] < start + length + 2.0:
         raise RuntimeError(f"the road goes on for {stations(line)[-1] - start:.0f} m, the drive "
                            f"for {length:.0f}")  # fmt: skip

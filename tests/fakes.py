@@ -38,7 +38,11 @@ class FakeJob:
 
     def content(self) -> dict[str, Any]:
         """As of a real job."""
-        return {k: v for k, v in asdict(self).items() if k != "marks"}
+        own = {k: v for k, v in asdict(self).items() if k != "marks"}
+        rig = {"name": "fake", "pairs": [list(pair) for pair in PAIRS]}
+        tables: dict[str, Any] = {"recipes": {}, "daylight": {}, "weather": {}}
+        return {"rig": rig, "size": "8x6", "spp": 1, "denoise": False, "sensor": "ideal", **tables,
+                "frames_per_scene": 1, "variant": "fake", **own}  # fmt: skip
 
 
 def make_frame(seed: int, index: int, attempt: int = 0, *, flow: bool = True) -> dict[str, Any]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from test_config import _recipe_file
 
 from simgen import __main__ as cli
-from simgen import rendering, run
+from simgen import doctor, rendering, run
 from simgen.errors import UserError
 from simgen.shards import ShardSet
 
@@ -177,7 +178,7 @@ def test_a_disk_that_is_too_small_stops_before_anything_is_written(tmp_path, cap
     out = tmp_path / "set"
     assert cli.main(["render", "--n", "9", "--out", str(out), *SMALL]) == 2
     *_, last = capsys.readouterr().err.splitlines()
-    assert last.startswith(f"simgen: {out}: the set needs about 0.0 GB, but only 0.0 GB are free")
+    assert re.match(rf"simgen: {out}: the set needs about \d+ kB, but only 10 kB are free", last)
     assert not out.exists()
 
 
@@ -287,7 +288,18 @@ def test_help_mentions_every_option_and_what_it_is_for(capsys, options):
     assert options.__doc__.splitlines()[0][:30] in said
     for field in dataclasses.fields(options):
         flag = f"--{field.name.replace('_', '-')}"
-        assert ("folder of a set" if field.name == "folder" else flag) in said
+        expected = "folder of a set" if field.name == "folder" else flag
+        assert re.search(rf"{expected}(?![\w-])", said), "a word, not the start of one"
+
+
+@pytest.mark.parametrize("args", [["--help"], ["doctor"]])
+def test_a_reader_that_leaves_early_is_no_error(monkeypatch, args):
+    monkeypatch.setattr(doctor, "diagnosis", lambda: "well")
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with open(write_end, "w") as nobody:
+        monkeypatch.setattr(sys, "stdout", nobody)
+        assert cli.main(args) == 141
 
 
 def test_help_needs_neither_mitsuba_nor_hdf5():

@@ -1,15 +1,19 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from simgen import config, recipe
 from simgen.config import Job, RenderOptions, load_rig, parse_size, resolve
 from simgen.errors import UserError
 from simgen.recipe import draw_scene, draw_sky, pick, scenes_dir, stream
+from simgen.rig import Rig
 
 OPTIONS = RenderOptions(n=9)
 
@@ -188,6 +192,23 @@ def test_an_impossible_rig_is_refused(tmp_path, change, expected):
     path.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(UserError, match=expected):
         _job(rig=str(path))
+
+
+@pytest.mark.parametrize("share, expected", [
+    (None, r"daylight\.toml: holds no preset; expected tables like \[name\], each with share"),
+    ("0", r"daylight\.toml: dawn, .* all have share = 0, so nothing can be drawn\. Give one"),
+])  # fmt: skip
+def test_presets_of_which_nothing_can_be_drawn_are_refused(tmp_path, monkeypatch, share, expected):
+    text = (scenes_dir() / "daylight.toml").read_text(encoding="utf-8")
+    path = tmp_path / "daylight.toml"
+    path.write_text(re.sub(r"share = [\d.]+", f"share = {share}", text) if share else "", "utf-8")
+    path.with_name("weather.toml").write_bytes((scenes_dir() / "weather.toml").read_bytes())
+    job = partial(_job, recipes=str(scenes_dir() / "urban.toml"))
+    for module in (config, recipe):
+        monkeypatch.setattr(module, "scenes_dir", lambda: tmp_path)
+    monkeypatch.setattr(config, "load_rig", lambda name: (name, Rig.model_construct(size=(96, 54))))
+    with pytest.raises(UserError, match=expected):
+        job()
 
 
 def test_every_int64_seed_draws():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,8 +14,9 @@ from flat_sites import RECTS, FlatSite
 from scipy.integrate import quad
 from test_ground import make_spec
 
-from simgen import furniture, given_map, markings, passers_by, roads, roadside
-from simgen.alignment import lines, reference, strips, things
+from simgen import __main__ as cli
+from simgen import furniture, given_map, markings, passers_by, rendering, roads, roadside, world
+from simgen.alignment import lines, reference, require_whole, strips, things
 from simgen.config import Job, RenderOptions, resolve
 from simgen.errors import UserError
 from simgen.layout import Layout
@@ -344,6 +346,25 @@ def test_a_set_without_its_map_cannot_be_rendered_again(spoil, tmp_path):
 
 SHAPELESS = '<geometry s="0" x="0" y="0" hdg="0" length="200"><bezier/></geometry>'
 ENTITY = b'<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><OpenDRIVE>&a;</OpenDRIVE>'
+CUBIC = '<geometry s="0" x="0" y="0" hdg="0" length="200"><poly3 a="0" b="0" c="0" d="1e5"/>'
+
+
+def two_pieces(s: float, x: float) -> str:
+    """A straight piece of 100 m, and another one."""
+    first, second = (LINE.replace('length="200"', 'length="100"') for _ in range(2))
+    return first + second.replace('s="0" x="0"', f's="{s}" x="{x}"')
+
+
+def twice(text: bytes) -> bytes:
+    """A map with all its roads written twice."""
+    start, end = text.index(b"<road"), text.index(b"</OpenDRIVE>")
+    return text[:end] + text[start:end] + text[end:]
+
+
+def stated(length: str) -> bytes:
+    return one_road().replace(b'length="200" rule', f'length="{length}" rule'.encode())
+
+
 BAD = {
     "broken": (one_road()[:-20], "not valid XML: .* Is the file complete?"),
     "binary": (b"\x00\x01\x02", "not valid XML"),
@@ -363,17 +384,80 @@ BAD = {
     ),
     "borders": (one_road(lane='<border a="3"/>'), "lane -1 is given by its <border>"),
     "entities": (ENTITY, "it declares a document type"),
-}
+    "one id": (twice(one_road()), "2 roads have id='1'; expected an id of its own for each"),
+    "apart": (one_road(two_pieces(100, 500)), "road 1: piece 1 .* begins 400 m from where the"),
+    "a gap": (one_road(two_pieces(9100, 9100)), "road 1: piece 1 .* has s=9100; expected 100"),
+    "backwards": (one_road(two_pieces(0, 0)), "road 1: piece 1 .* has s=0; expected 100"),
+    "absurd cubic": (one_road(CUBIC + "</geometry>"), "its roads cannot be built, wherever the rig "
+                     r"starts \(3 places tried\).* a polyline needs at least 2 distinct points"),
+    "endless": (one_road(LINE.replace("200", "99000000")), "road 1: it is 99000 km long; expected "
+                "at most 100 km"),
+    "much land": (one_road(LINE.replace("200", "15000").replace('hdg="0"', 'hdg="0.8"')),
+                  "its roads cannot be built, .* fill 11.9 km × 12.2 km; expected at most 100 km²"),
+    "a wide lane": (one_road(lane=WIDTH.replace("3.5", "50000")), "road 1: lane -1 is 50000 m wide;"
+                    " expected at most 50 m"),
+    "length in words": (stated("abc"), "road 1: <road> has length='abc'; expected a number"),
+    "no length": (stated(""), "road 1: <road> has length=''; expected a number"),
+    "stated endless": (stated("99000000"), "road 1: it is 99000 km long; expected at most 100 km"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_map_is_explained(name, tmp_path):
+def test_a_bad_map_is_one_paragraph_and_writes_nothing(name, tmp_path, capsys):
     data, message = BAD[name]
-    path = tmp_path / "mine.xodr"
+    path, out = tmp_path / "mine.xodr", tmp_path / "set"
     path.write_bytes(data)
-    with pytest.raises(UserError, match=rf"^--opendrive .*mine\.xodr: .*{message}") as error:
-        job(path)
-    assert "\n" not in str(error.value)
+    args = ["--out", str(out), "--size", "96x54", "--variant", "scalar_rgb"]
+    assert cli.main(["render", "--n", "3", "--opendrive", str(path), *args]) == 2
+    said = capsys.readouterr().err
+    assert re.match(rf"^simgen: --opendrive .*mine\.xodr: .*{message}", said)
+    assert said.count("\n") == 1
+    assert not out.exists()
+
+
+def test_pieces_that_meet_within_a_metre_are_one_road():
+    """Tools round, and some add up less exactly than others."""
+    for data in (one_road(two_pieces(100.4, 100.0)), one_road(two_pieces(100.0, 100.9))):
+        require_whole(read(data)[0])
+
+
+def test_a_map_is_tried_out_before_the_folder_is_made(tmp_path, monkeypatch):
+    tried = []
+
+    def build(spec, data, *, drive_m):
+        tried.append(drive_m)
+        if len(tried) < 3:
+            raise ValueError("of this place")
+
+    monkeypatch.setattr(roads, "build", build)
+    rendering._require_buildable(
+        tmp_path, replace(job(MAPS["signal_crossing"]), frames_per_scene=3)
+    )
+    assert tried == [6.0] * 3, "one place to drive in is enough"
+
+
+# --- drives of many frames -----------------------------------------------------------------------
+
+
+def test_a_drive_starts_where_its_lane_is_long_enough():
+    """21 frames are 60 m: on a road of 70 m, all scenes start in its first 6 m."""
+    data = one_road(LINE.replace("200", "70"))
+    starts = given_map.starts(data, 60.0)
+    assert [x.usable_m for x in starts] == [pytest.approx(6.0)]
+    assert [x.usable_m for x in given_map.starts(data, 45.0)] == [pytest.approx(20.0)]
+    drive = world.drive(make_spec("rural", 1), 20, data, num_steps=21)
+    assert len(drive.way) == 21
+
+
+def test_a_drive_longer_than_all_lanes_is_refused(tmp_path):
+    path = tmp_path / "mine.xodr"
+    path.write_bytes(one_road(LINE.replace("200", "62")))
+    options = RenderOptions(n=3, opendrive=path, frames_per_scene=21)
+    with pytest.raises(
+        UserError, match=r"no driving lane goes on for 64 m.* fewer --frames-per-sc"
+    ):
+        resolve(options, "scalar_rgb")
+    assert resolve(replace(options, frames_per_scene=16), "scalar_rgb").opendrive
 
 
 def test_a_missing_map_is_explained(tmp_path):

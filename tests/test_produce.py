@@ -134,7 +134,8 @@ def test_images_are_exposed(frames):
 def test_the_spec_names_spray_and_halos_only_where_they_are(frames, lorry):
     by_day = frames[0]["spec"]
     fast = {m["instance"] for m in by_day["movers"] if m["speed_m_s"] >= spray.FROM_M_S}
-    assert {p["instance"] for p in by_day["spray"] or ()} <= fast
+    assert by_day["spray"]
+    assert {p["instance"] for p in by_day["spray"]} <= fast
     assert by_day["halos"] is None
     in_fog = lorry[1]["spec"]
     assert in_fog["spray"] is None
@@ -223,3 +224,4 @@ def test_export_round_trips(job, frames, tmp_path, monkeypatch):
     replace(manifest, config={**manifest.config, "seed": job.seed + 1}).save(folder)
     with pytest.raises(UserError, match="is drawn otherwise by this one"):
         export.export_frame(folder, 0, tmp_path / "again")
+    assert not (tmp_path / "again").exists()

@@ -208,6 +208,23 @@ def test_the_reading_example_runs(folder: Path) -> None:
     assert np.shape(names["flow"]) == (*HW, 2)
 
 
+def test_the_example_of_the_readme_reads_what_it_says(folder: Path, capsys) -> None:
+    readme = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+    example = readme.split("```python\n")[1].split("```")[0]
+    for of_the_readme, here in {'"shards"': repr(str(folder)), "1440": "54", "2560": "96"}.items():
+        assert of_the_readme in example
+        example = example.replace(of_the_readme, here)
+    names: dict[str, object] = {}
+    exec(example, names)
+    assert capsys.readouterr().out == "rural noon\n"
+    stated = re.findall(r"^ *((?:flow = )?frame.+?)  +# (\(.+\))  *(\w+)", example, re.MULTILINE)
+    assert len(stated) == 5
+    for code, shapes, what in stated:
+        values = eval(f"[{code.rpartition(' = ')[2]}]", {**names, "pair": 0})
+        assert ", ".join(str(x.shape) for x in values) == shapes
+        assert str(values[0].dtype) == (what if what != "drawn" else "float64")
+
+
 def test_a_set_without_frames_is_described_as_such(tmp_path: Path) -> None:
     text = describe(write_set(tmp_path, []))
     assert "no finished shard yet" in text

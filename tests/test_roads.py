@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from test_ground import make_spec
@@ -96,6 +98,33 @@ def test_same_spec_same_network():
     for name in roads.SURFACES:
         np.testing.assert_array_equal(a.surfaces[name].vertices, b.surfaces[name].vertices)
     assert len(a.buildings) == len(b.buildings)
+
+
+class PanicException(BaseException):
+    """As pyo3 raises it."""
+
+
+def _said_meanwhile(error: BaseException | None) -> None:
+    """What roadgen does: prints, past Python's own stderr, and maybe raises."""
+    with roads._panics_raised():
+        os.write(2, b"thread '<unnamed>' says")
+        if error:
+            raise error
+
+
+def test_a_panic_of_roadgen_is_an_exception_and_prints_nothing(capfd):
+    with pytest.raises(RuntimeError, match="roadgen gave up on the terrain: of a triangle"):
+        _said_meanwhile(PanicException("of a triangle"))
+    os.write(2, b"afterwards")
+    assert capfd.readouterr().err == "afterwards"
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_what_else_roadgen_says_is_passed_on(capfd, error):
+    _said_meanwhile(None)
+    with pytest.raises(error):
+        _said_meanwhile(error())
+    assert capfd.readouterr().err == 2 * "thread '<unnamed>' says"
 
 
 def test_taken_places_stay_taken():

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -481,11 +481,11 @@ def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
 
 def test_what_was_asked_of_each_side_is_kept(tmp_path):
     folder = SetFolder(tmp_path)
-    folder.open_manifest({"seed": 0}, 16, 30, "train").save(tmp_path)
-    grown = folder.open_manifest({"seed": 0}, 16, 9, "all")
+    folder.open_manifest(FakeJob().content(), 16, 30, "train").save(tmp_path)
+    grown = folder.open_manifest(FakeJob().content(), 16, 9, "all")
     assert (grown.pairs_asked, grown.num_pairs_asked) == ({"train": 30, "test": 9}, 30)
     replace(grown, pairs_asked={}).save(tmp_path)  # as older versions left it
-    grown = folder.open_manifest({"seed": 0}, 16, 60, "train")
+    grown = folder.open_manifest(FakeJob().content(), 16, 60, "train")
     assert grown.pairs_asked == {"train": 60, "test": 30}
 
 
@@ -501,21 +501,26 @@ def test_other_options_are_refused_and_listed(whole):
 
 def test_other_shard_sizes_and_versions_are_refused(tmp_path, monkeypatch):
     folder = SetFolder(tmp_path)
-    folder.open_manifest({"seed": 0}, 16, 9)
+    folder.open_manifest(FakeJob().content(), 16, 9)
     with pytest.raises(UserError, match="frames_per_shard: the folder has 16, you asked for 8"):
-        folder.open_manifest({"seed": 0}, 8, 9)
+        folder.open_manifest(FakeJob().content(), 8, 9)
     monkeypatch.setattr(run, "__version__", "99.0")
     with pytest.raises(UserError, match=f"package_version: the folder has {simgen.__version__}, "
                                         "you asked for 99.0"):  # fmt: skip
-        folder.open_manifest({"seed": 0}, 16, 9)
+        folder.open_manifest(FakeJob().content(), 16, 9)
 
 
 def test_differences_are_named_key_by_key(tmp_path):
     folder = SetFolder(tmp_path)
-    folder.open_manifest({"seed": 0, "rig": {"hfov_deg": 90, "size": [4, 3]}, "old": 1}, 16, 9)
-    folder.open_manifest({"seed": 0, "rig": {"hfov_deg": 90, "size": (4, 3)}, "old": 1}, 16, 9)
+
+    def content(hfov_deg: float, size: Sequence[int], **more: object) -> dict[str, object]:
+        rig = {**FakeJob().content()["rig"], "hfov_deg": hfov_deg, "size": size}
+        return {**FakeJob().content(), "rig": rig, **more}
+
+    folder.open_manifest(content(90, [4, 3], old=1), 16, 9)
+    folder.open_manifest(content(90, (4, 3), old=1), 16, 9)
     with pytest.raises(UserError) as error:
-        folder.open_manifest({"seed": 0, "rig": {"hfov_deg": 30, "size": [4, 3]}, "new": 1}, 16, 9)
+        folder.open_manifest(content(30, [4, 3], new=1), 16, 9)
     assert (
         "new: not in the folder; old: only in the folder; "
         "rig.hfov_deg: the folder has 90, you asked for 30." in str(error.value)
@@ -553,6 +558,6 @@ def test_a_disk_that_is_too_small_is_refused_unless_forced(tmp_path, monkeypatch
     path = tmp_path / "not" / "yet"
     run.check_disk(path, 1.9e9, force=False)
     run.check_disk(path, 3e9, force=True)
-    with pytest.raises(UserError, match=r"needs about 3\.0 GB, but only 2\.0 GB are free.*--force"):
+    with pytest.raises(UserError, match=r"needs about 3 GB, but only 2 GB are free.*--force"):
         run.check_disk(path, 3e9, force=False)
     assert not path.parent.exists()

@@ -36,7 +36,7 @@ def _set(folder: Path, *, flow: bool = True, compression: str = "gzip") -> Path:
                                 split=split, compression=compression))  # fmt: skip
         for source in sources:
             source.path.unlink()
-    Manifest(1, 0, "0", {}, 2, 12, entries).save(folder)
+    Manifest(1, 0, "0", fakes.FakeJob().content(), 2, 12, entries).save(folder)
     return folder
 
 
@@ -148,7 +148,7 @@ def test_an_unknown_field_names_the_known_ones(stored):
 def test_an_absent_frame_says_which_there_are(stored, tmp_path):
     with pytest.raises(UserError, match=r"no frame 2; it has 4 frames, 0 to 10\."):
         ShardSet(stored).frame(2)
-    Manifest(1, 0, "0", {}, 2, 12).save(tmp_path)
+    Manifest(1, 0, "0", fakes.FakeJob().content(), 2, 12).save(tmp_path)
     with pytest.raises(UserError, match=r"no frame 2; it has 0 frames\."):
         ShardSet(tmp_path).frame(2)
 
@@ -185,6 +185,45 @@ def test_a_foreign_manifest_is_refused(tmp_path, text, reason):
     (tmp_path / "manifest.json").write_text(text)
     with pytest.raises(UserError, match=rf"manifest\.json: {reason}"):
         ShardSet(tmp_path)
+
+
+@pytest.mark.parametrize("change, lacking", [
+    ({}, "seed, rig, size, spp, "), ({"size": "8x6", "seed": 0}, "rig, spp, denoise"),
+    ({**fakes.FakeJob().content(), "rig": {"name": "x"}}, r"rig\.pairs; expected all that simgen"),
+    (None, "argument of type 'NoneType'"),
+])  # fmt: skip
+def test_a_manifest_without_its_config_is_refused(stored, tmp_path, change, lacking):
+    replace(Manifest.load(stored), config=change).save(tmp_path)
+    with pytest.raises(
+        UserError, match=rf"manifest\.json: (its config lacks|not a .*) \(?{lacking}"
+    ):
+        Manifest.load(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", "7"])
+def test_a_spec_that_is_not_json_is_refused(copy, text):
+    with h5py.File(copy / "train-00000.h5", "a") as file:
+        file["spec"][0] = text
+    frame = ShardSet(copy).frame(3)
+    with pytest.raises(
+        UserError, match=r"train-00000\.h5: 'spec' of row 0 cannot be decoded .*is d"
+    ):
+        _ = frame.spec
+    assert ShardSet(copy).frame(1).spec
+
+
+@pytest.mark.parametrize("name", ["spec", "pairs", "image"])
+def test_a_field_that_cannot_be_decoded_is_named(stored, monkeypatch, name):
+    class Damaged:
+        def __getitem__(self, key: object) -> None:
+            raise OSError("inflate() failed")
+
+        def asstr(self) -> Damaged:
+            return self
+
+    monkeypatch.setattr(shards.Frame, "_file", {name: Damaged()})
+    with pytest.raises(UserError, match=rf"h5: '{name}' of row 1 cannot be decoded \(inflate"):
+        getattr(ShardSet(stored).frame(1), name)
 
 
 def test_a_manifest_reads_as_it_was_saved(stored, tmp_path):
