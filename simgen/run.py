@@ -12,6 +12,7 @@ import fcntl
 import functools
 import json
 import multiprocessing
+import os
 import shutil
 import signal
 import socket
@@ -485,8 +486,12 @@ def _record(reasons: Sequence[str], task: FrameTask, state: _State) -> dict[str,
 
 
 def _log(state: _State, record: dict[str, Any]) -> None:
-    with open(state.folder.path / LOG, "a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+    """Adds a line, which begins on its own even if the last one was cut off by a kill."""
+    with open(state.folder.path / LOG, "ab+") as file:
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+        whole = file.read(1) in (b"", b"\n")
+        file.write(b"\n" * (not whole) + json.dumps(record).encode() + b"\n")
 
 
 def _assemble_complete(state: _State, finished: set[int], partial: bool = False) -> None:

@@ -93,10 +93,11 @@ def test_the_log_keeps_the_last_record_of_a_frame_and_counts_broken_lines(folder
     line = (folder / LOG).read_text().splitlines()[0]
     again = line.replace('"time": 0.0', '"time": 99.0').replace('"path": 2.0', '"path": 7.0')
     (folder / "copy").mkdir()
-    (folder / "copy" / LOG).write_text(f'{line}\n{again}\n{line[:20]}\n{{"worker_died": "x"}}\n')
+    foreign = '{"worker_died": "x"}\n{"index": 0, "seconds": {}}\n'  # no record, none of ours
+    (folder / "copy" / LOG).write_text(f"{line}\n{again}\n{line[:20]}\n{foreign}")
     log = survey.read_log(folder / "copy")
     assert log.stage_seconds()["path"].tolist() == [7.0]
-    assert log.num_unreadable == 1
+    assert log.num_unreadable == 2
 
 
 # --- the page ------------------------------------------------------------------------------------

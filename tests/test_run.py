@@ -181,6 +181,16 @@ def test_a_set_without_flow_reads_as_one_with_it(whole, tmp_path):
         assert (frame.flow(1) == full.flow(1)).all()
 
 
+def test_a_line_of_the_log_that_was_cut_off_takes_no_other_with_it(tmp_path):
+    _render(tmp_path / "set", 1)
+    log = tmp_path / "set" / LOG
+    log.write_text(log.read_text()[:-20])
+    _render(tmp_path / "set", 3)
+    cut, *lines = log.read_text().splitlines()
+    assert cut.startswith('{"index": 0')
+    assert [json.loads(line)["index"] for line in lines] == [1, 2]
+
+
 def test_the_log_has_one_line_per_frame_with_its_seconds(tmp_path):
     _render(tmp_path / "set", 3)
     lines = _log(tmp_path / "set")
