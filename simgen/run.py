@@ -38,6 +38,8 @@ LOCK = ".lock"
 LOG = "render.jsonl"
 MAX_ATTEMPTS = 3
 POLL_S = 0.25
+GIVE_UP_AFTER = 5
+"""Frames that fail for good, in a set that has none that succeeded: then none is likely to."""
 """How often a run looks up from waiting, to see whether it was told to stop."""
 TEST_EVERY = 10
 """A scene whose number is divisible by this is a test scene."""
@@ -432,6 +434,8 @@ def _processes(pool: Pool) -> ProcessPool:
         initializer=_start_worker,
         context=multiprocessing.get_context("spawn"),
     )
+                elif not finished:
+                    _require_hope(state)
 
 
 def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> bool:
@@ -439,6 +443,21 @@ def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> 
     try:
         result: FrameResult = future.result()
     except UserError:
+def _require_hope(state: _State) -> None:
+    """UserError if a set without any finished frame has so many that failed for good."""
+    asked = set(state.plan.frames)
+    failures = [f for f in state.manifest.failures if f["frame_index"] in asked]
+    if len(failures) < GIVE_UP_AFTER:
+        return
+    reasons = dict.fromkeys(" ".join(r.split()) for f in failures for r in f["reasons"])
+    raise UserError(
+        f"{state.folder.path}: {len(failures)} frames failed {MAX_ATTEMPTS} times each, and none "
+        f"succeeded: {'; '.join(reasons)}. Expected most to succeed, so the run stops here: mend "
+        "the cause (simgen doctor tells of this machine; a recipe or map of your own may ask for "
+        "what cannot be built), and run the same command again: it tries these frames anew."
+    )
+
+
         raise
     except FrameRejected as rejection:
         _redraw(rejection.reasons, task, state, progress)

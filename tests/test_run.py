@@ -381,6 +381,27 @@ def test_three_rejections_are_a_failure_and_the_rest_is_finished(tmp_path):
     assert Manifest.load(tmp_path / "set") == manifest
 
 
+def test_a_run_in_which_nothing_succeeds_gives_up_and_can_be_continued(whole, tmp_path):
+    path = tmp_path / "set"
+    with pytest.raises(
+        UserError, match="5 frames failed 3 times each, and none succeeded"
+    ) as error:
+        _render(path, 7, fakes.crash_always)
+    said = str(error.value)
+    assert "succeeded: ImportError: no sky, not even 0; ImportError: no sky, not even 1. " in said
+    assert "mend the cause" in said
+    assert "\n" not in said
+    assert [f["frame_index"] for f in Manifest.load(path).failures] == [0, 1, 2, 3, 4]
+    _render(path, 7)
+    assert _files(path) == _files(whole)
+
+
+def test_a_set_that_has_a_frame_does_not_give_up(tmp_path):
+    _render(tmp_path / "set", 1)
+    manifest = _render(tmp_path / "set", 7, fakes.crash_always)
+    assert [f["frame_index"] for f in manifest.failures] == [1, 2, 3, 4, 5, 6]
+
+
 def test_failures_are_tried_again_by_the_next_run(whole, tmp_path):
     failed = _render(tmp_path / "set", 7, fakes.reject_always)
     assert _render(tmp_path / "set", 7, fakes.reject_always) == failed
