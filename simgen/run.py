@@ -31,7 +31,8 @@ from simgen import __version__
 from simgen.errors import UserError
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import MANIFEST, Manifest, ShardEntry, open_shard
-from simgen.store import Source, assemble, stored_content
+from simgen.store import Source, assemble, file_sha256, stored_content
+from simgen.versions import versions
 
 FRAMES_DIR = ".frames"
 LOCK = ".lock"
@@ -379,7 +380,7 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
     A run that is killed between replacing a shard and saying so leaves a longer one.
     """
     path = state.folder.path / shard.name
-    if path.exists() and path.stat().st_size == shard.bytes:
+    if path.exists() and path.stat().st_size == shard.bytes and _unchanged(state, shard):
         return shard
     try:
         with open_shard(path) as file:
@@ -392,6 +393,18 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
 
 
 def _render(
+def _unchanged(state: _State, shard: ShardEntry) -> bool:
+    """Whether a shard of the right size has its bytes, as far as its time does not tell.
+
+    Every run writes the manifest after the shards, so a later shard was written by somebody else.
+    To hash all of a large set would take minutes at each start: what changed without a new time,
+    on a failing disk, is found by ``simgen validate``.
+    """
+    path, manifest = state.folder.path / shard.name, state.folder.path / MANIFEST
+    written_before = path.stat().st_mtime_ns < manifest.stat().st_mtime_ns
+    return written_before or file_sha256(path) == shard.sha256
+
+
     job: Any,
     todo: Sequence[int],
     state: _State,

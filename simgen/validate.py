@@ -165,7 +165,8 @@ def _check_shard(path: Path, entry: _Entry, read: _Set) -> Iterator[None]:
 def _check_hash(path: Path, entry: _Entry) -> Finding:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    detail = f"is {digest[:12]}…, the manifest says {entry.sha256[:12]}…"
+    detail = (f"is {digest[:12]}…, the manifest says {entry.sha256[:12]}…; delete the file and run "
+              "the same render command again")  # fmt: skip
     return judge("sha256", digest != entry.sha256, entry.name, detail)
 
 

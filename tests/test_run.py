@@ -442,6 +442,21 @@ def test_frames_of_a_lost_or_damaged_shard_are_redone(whole, tmp_path, damage):
     assert _files(path) == _files(whole)
 
 
+@pytest.mark.parametrize("changed, again", [(True, [4, 5, 6]), (False, [])])
+def test_a_shard_that_is_later_than_the_manifest_is_held_to_its_hash(
+    whole, tmp_path, changed, again
+):
+    path, rendered = shutil.copytree(whole, tmp_path / "set"), []
+    shard = path / "train-00001.h5"
+    content = bytearray(shard.read_bytes())
+    with h5py.File(shard, "r") as file:
+        content[file["image"].id.get_chunk_info(0).byte_offset + 20] ^= changed
+    shard.write_bytes(content)
+    _render(path, 7, frame_done=lambda result: rendered.append(result.index))
+    assert rendered == again
+    assert _files(path) == _files(whole)
+
+
 def test_a_shard_with_something_appended_is_restored(whole, tmp_path):
     path, rendered = shutil.copytree(whole, tmp_path / "set"), []
     with open(path / "train-00000.h5", "ab") as file:
