@@ -38,9 +38,9 @@ FRAMES_DIR = ".frames"
 LOCK = ".lock"
 LOG = "render.jsonl"
 MAX_ATTEMPTS = 3
-POLL_S = 0.25
 GIVE_UP_AFTER = 5
 """Frames that fail for good, in a set that has none that succeeded: then none is likely to."""
+POLL_S = 0.25
 """How often a run looks up from waiting, to see whether it was told to stop."""
 TEST_EVERY = 10
 """A scene whose number is divisible by this is a test scene."""
@@ -212,18 +212,19 @@ class SetFolder:
                 path.unlink()  # without a manifest, nobody knows how they were made
             fresh = Manifest(
                 SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n,
-                pairs_asked=asked,
+                pairs_asked=asked, versions=versions(),
             )  # fmt: skip
             fresh.save(self.path)
             return fresh
         found = Manifest.load(self.path)
-        own = {"frames_per_shard": frames_per_shard, "package_version": __version__}
-        differences = _differences({**found.config, **{k: getattr(found, k) for k in own}},
-                                   {**config, **own})  # fmt: skip
+        own = {"frames_per_shard": frames_per_shard, "package_version": __version__,
+               "versions": versions()}  # fmt: skip
+        kept = {k: getattr(found, k) or None for k in own}  # older sets do not tell of versions
+        differences = _differences({**found.config, **kept}, {**config, **own})
         if differences:
             raise UserError(
                 f"{self.path}: was rendered with other options: {'; '.join(differences)}. Ask for "
-                "the same, or choose another folder with --out."
+                "the same, with the same versions installed, or choose another folder with --out."
             )
         before = found.pairs_asked or dict.fromkeys(SIDES, found.num_pairs_asked)
         for side, num in before.items():
@@ -392,7 +393,6 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
         return None
 
 
-def _render(
 def _unchanged(state: _State, shard: ShardEntry) -> bool:
     """Whether a shard of the right size has its bytes, as far as its time does not tell.
 
@@ -405,6 +405,7 @@ def _unchanged(state: _State, shard: ShardEntry) -> bool:
     return written_before or file_sha256(path) == shard.sha256
 
 
+def _render(
     job: Any,
     todo: Sequence[int],
     state: _State,
@@ -433,6 +434,8 @@ def _unchanged(state: _State, shard: ShardEntry) -> bool:
                     finished.add(task.index)
                 elif task.index not in state.failed():
                     queue.append(task.index)
+                elif not finished:
+                    _require_hope(state)
             if done:
                 _assemble_complete(state, finished)
     finally:
@@ -440,22 +443,6 @@ def _unchanged(state: _State, shard: ShardEntry) -> bool:
         processes.join()
 
 
-def _processes(pool: Pool) -> ProcessPool:
-    return ProcessPool(
-        max_workers=pool.workers,
-        max_tasks=pool.recycle,
-        initializer=_start_worker,
-        context=multiprocessing.get_context("spawn"),
-    )
-                elif not finished:
-                    _require_hope(state)
-
-
-def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> bool:
-    """Takes a worker's answer; True if the frame is done."""
-    try:
-        result: FrameResult = future.result()
-    except UserError:
 def _require_hope(state: _State) -> None:
     """UserError if a set without any finished frame has so many that failed for good."""
     asked = set(state.plan.frames)
@@ -471,6 +458,20 @@ def _require_hope(state: _State) -> None:
     )
 
 
+def _processes(pool: Pool) -> ProcessPool:
+    return ProcessPool(
+        max_workers=pool.workers,
+        max_tasks=pool.recycle,
+        initializer=_start_worker,
+        context=multiprocessing.get_context("spawn"),
+    )
+
+
+def _settle(future: Any, task: FrameTask, state: _State, progress: Progress) -> bool:
+    """Takes a worker's answer; True if the frame is done."""
+    try:
+        result: FrameResult = future.result()
+    except UserError:
         raise
     except FrameRejected as rejection:
         _redraw(rejection.reasons, task, state, progress)

@@ -52,6 +52,15 @@ def test_a_job_is_the_inverse_of_its_content():
     assert Job.from_content(json.loads(json.dumps(job.content(), sort_keys=True))) == job
 
 
+def test_the_content_states_the_samples_by_day_and_night():
+    content = _job(spp=8).content()
+    assert content["samples"] == {
+        "day_spp": 8, "night_spp": 16, "features_spp": 8, "max_depth": 4
+    }  # fmt: skip
+    del content["samples"]  # as in sets of older versions
+    assert Job.from_content(content) == _job(spp=8)
+
+
 def test_each_option_that_decides_pixels_changes_the_content():
     base = _job().content()
     changes = {"seed": 1, "rig": "truck", "size": "96x54", "spp": 8, "denoise": False,
