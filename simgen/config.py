@@ -65,9 +65,11 @@ class RenderOptions:
     """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given, or
     those for the kind of road that an OpenDRIVE map states"""
     weather: str = ""
-    """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by shares"""
+    """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain) or paths of TOML
+    files like scenes/weather.toml; by shares"""
     daylight: str = ""
-    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); by shares"""
+    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night) or paths of TOML files like
+    scenes/daylight.toml; by shares"""
     opendrive: Path | None = None
     """an OpenDRIVE file (.xodr) to drive through instead of roads of our own: each scene starts
     somewhere else on its driving lanes; lines, zebras, lights and signs are the file's, all else
