@@ -170,6 +170,11 @@ def max_angle_deg(spec: Mapping[str, Any]) -> float:
     return float(spec.get("rig", {}).get("perturbation_deg", 1.0))
 
 
+def is_night(spec: Mapping[str, Any]) -> bool:
+    """Whether lamps burn; by day where the spec does not say."""
+    return bool(spec.get("daylight", {}).get("sun_elevation_deg", 90.0) < 0)
+
+
 def _check_sky(arrays: Arrays) -> Finding:
     labelled = arrays["semantic"] == schema.LABELS["sky"]
     return judge("sky", np.count_nonzero(labelled != (arrays["depth"] == 0)), _place(arrays),
@@ -211,7 +216,7 @@ def _spread(values: NDArray[Any]) -> str:
 
 def _check_images(d: twoview.Direction, spec: Mapping[str, Any]) -> list[Finding]:
     """Whether the flow explains the right image by the left one, in daylight and on texture."""
-    if spec.get("daylight", {}).get("sun_elevation_deg", 90.0) < 0:
+    if is_night(spec):
         why = "the sun is below the horizon"
         return [not_applicable(name, d.where, why) for name in NEED_TEXTURE]
     found = photometric.align(d.source.image, d.target.image, *twoview.clean_matches(d))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from simgen import samples
 from simgen.errors import UserError
 from simgen.given_map import load as load_map
 from simgen.given_map import road_kind
@@ -44,7 +45,8 @@ class RenderOptions:
 
     What is rendered follows from these options and the seed alone. The same command again resumes;
     a larger --n continues the set, a smaller one takes nothing away. --split, --workers, --recycle
-    and --force may change from run to run; any other difference needs another folder.
+    and --force may change from run to run; any other difference, also of the
+    versions of packages that decide pixels, needs another folder.
     """
 
     n: int
@@ -68,9 +70,11 @@ class RenderOptions:
     """comma-separated names (urban,suburban,highway,rural) or TOML paths; all if not given, or
     those for the kind of road that an OpenDRIVE map states"""
     weather: str = ""
-    """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain); by shares"""
+    """comma-separated presets (clear,partly_cloudy,overcast,fog,rain,after_rain) or paths of TOML
+    files like scenes/weather.toml; by shares"""
     daylight: str = ""
-    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night); by shares"""
+    """comma-separated presets (dawn,morning,noon,afternoon,dusk,night) or paths of TOML files like
+    scenes/daylight.toml; by shares"""
     opendrive: Path | None = None
     """an OpenDRIVE file (.xodr) to drive through instead of roads of our own: each scene starts
     somewhere else on its driving lanes; lines, zebras, lights and signs are the file's, all else
@@ -123,6 +127,11 @@ class Job:
         """Of the map; empty if there is none."""
         return hashlib.sha256(self.opendrive).hexdigest() if self.opendrive else ""
 
+    @property
+    def samples(self) -> dict[str, int]:
+        """Per pixel, by day and by night; see simgen/samples.py."""
+        return samples.rule(self.spp)
+
     def content(self) -> dict[str, Any]:
         """Plain data, to be stored with the set and compared when it is continued."""
         tables = {
@@ -134,6 +143,7 @@ class Job:
             "rig": {"name": self.rig_name, **self.rig.model_dump(mode="json")},
             "size": f"{self.wh[0]}x{self.wh[1]}",
             "spp": self.spp,
+            "samples": self.samples,
             "denoise": self.denoise,
             "sensor": self.sensor,
             **tables,
@@ -146,7 +156,11 @@ class Job:
 
     @classmethod
     def from_content(cls, data: dict[str, Any], opendrive: bytes = b"") -> Job:
-        """The inverse of :meth:`content`, which names a map by its hash only."""
+        """The inverse of :meth:`content`, which names a map by its hash only.
+
+        Samples follow from ``spp`` by this version's rule, whichever the stored one is: a frame's
+        own spec tells whether it had them.
+        """
         rig = {k: v for k, v in data["rig"].items() if k != "name"}
         return cls(
             seed=data["seed"],

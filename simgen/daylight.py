@@ -7,6 +7,8 @@ air has.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
 
@@ -14,7 +16,7 @@ from simgen import atmosphere, clouds
 from simgen.atmosphere import SUNSET_DEG, sun_direction
 from simgen.color import luminance
 from simgen.geometry import Array
-from simgen.recipe import SkySpec
+from simgen.recipe import DaylightTable, SkySpec
 from simgen.skymap import (
     SKY_HW,
     Image,
@@ -36,6 +38,14 @@ CLOUDS_SEE_SUN_DEG = 2.0
 def is_night(sky: SkySpec) -> bool:
     """Whether lamps burn: from sunset on, so that dusk and night share one set of lights."""
     return sky.sun_elevation_deg < LAMPS_BELOW_DEG
+
+
+def night_share(presets: Mapping[str, DaylightTable]) -> float:
+    """The expected share of frames in which lamps burn."""
+    shares = np.array([preset.share for preset in presets.values()])
+    low, high = np.array([preset.sun_elevation_deg for preset in presets.values()]).T
+    dark = (LAMPS_BELOW_DEG - low) / np.maximum(high - low, 1e-9)
+    return float(shares @ np.clip(dark, 0, 1) / shares.sum())
 
 
 def environment(sky: SkySpec, *, rng: np.random.Generator) -> Image:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from simgen.schema import FIELDS
-from simgen.shards import Manifest, ShardSet, open_shard
+from simgen.shards import SPLITS, Manifest, ShardSet, open_shard
 
 _EXAMPLE = """\
 from simgen.shards import ShardSet
@@ -29,7 +29,7 @@ def describe(folder: Path) -> str:
         with open_shard(folder / manifest.shards[0].name) as shard:
             sections += [_fields(shard), _conventions(shard)]
         specs = [frame.spec for frame in frames]
-        sections += [_strata(specs), _versions(specs[0])]
+        sections += [_strata(specs), _versions(specs)]
     frames.close()
     sections += [_config(manifest.config), _faults(manifest)]
     if len(frames):
@@ -49,9 +49,18 @@ def _summary(folder: Path, manifest: Manifest) -> str:
     size = sum(shard.bytes for shard in manifest.shards)
     lines.append(
         f"{manifest.config['size']} pixels, {len(manifest.shards)} files, {size / 1e6:.1f} MB; "
-        f"asked for: {manifest.num_pairs_asked} pairs, seed {manifest.dataset_seed}"
+        f"asked for: {_asked(manifest)}, seed {manifest.dataset_seed}"
     )
     return _titled(str(folder), lines)
+
+
+def _asked(manifest: Manifest) -> str:
+    """Pairs of the whole set, or what was asked of each side of the split."""
+    sides = manifest.pairs_asked
+    if set(sides.values()) == {manifest.num_pairs_asked} and len(sides) == len(SPLITS):
+        sides = {}
+    each = [f"--n {num} --split {side}" for side, num in sides.items()]
+    return ", ".join(each) or f"{manifest.num_pairs_asked} pairs"
 
 
 def _fields(shard: Any) -> str:
@@ -78,8 +87,15 @@ def _strata(specs: Sequence[dict[str, Any]]) -> str:
     return _titled("Frames by recipe, daylight, weather", _aligned(rows))
 
 
-def _versions(spec: dict[str, Any]) -> str:
-    return _titled("Made with", _aligned(sorted(spec["versions"].items())))
+def _versions(specs: Sequence[dict[str, Any]]) -> str:
+    """Of each package; where frames differ, of how many of them."""
+    packages = sorted({name for spec in specs for name in spec["versions"]})
+    rows = []
+    for name in packages:
+        counts = Counter(spec["versions"].get(name, "unknown") for spec in specs)
+        each = [f"{v} ({n} frames)" for v, n in sorted(counts.items())]
+        rows.append((name, ", ".join(each) if len(counts) > 1 else next(iter(counts))))
+    return _titled("Made with", _aligned(rows))
 
 
 def _config(config: dict[str, Any]) -> str:
@@ -91,8 +107,8 @@ def _config(config: dict[str, Any]) -> str:
     for name, value in config.items():
         if name in ("recipes", "daylight", "weather"):
             rows.append((name, ", ".join(f"{k} {v['share']:g}" for k, v in value.items())))
-        elif name == "rig":
-            rows += [(f"rig.{k}", _plain(v)) for k, v in value.items() if k != "size"]
+        elif name in ("rig", "samples"):
+            rows += [(f"{name}.{k}", _plain(v)) for k, v in value.items() if k != "size"]
         else:
             rows.append((name, _plain(value)))
     return _titled("Configuration (in full in manifest.json)", _aligned(rows))

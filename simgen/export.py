@@ -142,8 +142,8 @@ def _render_again(job: Job, frame: Frame) -> list[NDArray[np.float32]]:
 
     watch = produce.Stopwatch()
     frame_plan = produce.plan_frame(job, index, attempt)
-    spp = produce.samples_per_pixel(frame_plan, job)
-    _require_same(frame, frame_plan.spec.to_json(), frame_plan.posed.cameras, spp)
+    samples = produce.frame_samples(frame_plan, job)
+    _require_same(frame, frame_plan.spec.to_json(), frame_plan.posed.cameras, samples)
     loaded, sky = produce.load(frame_plan, job, watch)
     return produce.radiance(frame_plan, job, loaded, sky, watch)
 
@@ -159,10 +159,12 @@ def _engine_of(variant: str) -> engine.Engine:
     return engine.choose(variant)
 
 
-def _require_same(frame: Frame, spec: dict[str, Any], cameras: Sequence[Camera], spp: int) -> None:
+def _require_same(
+    frame: Frame, spec: dict[str, Any], cameras: Sequence[Camera], samples: dict[str, Any]
+) -> None:
     """Raises UserError if what is drawn today is not what was rendered."""
     same_scene = json.loads(json.dumps(spec)) == frame.spec["scene"]
-    same_scene &= spp == frame.spec["samples"]["spp"]
+    same_scene &= samples == frame.spec["samples"]
     poses = [camera.T_world_cam for camera in cameras]
     if not (same_scene and np.allclose(poses, frame.read("T_world_cam"), rtol=0, atol=1e-9)):
         raise UserError(

@@ -48,6 +48,7 @@ CHECKS: dict[str, Check] = {
     "attributes": Check("missing or foreign file attributes", 0, "", np.sum),
     "frames": Check("frames missing, doubled or not listed", 0, "frames", np.sum),
     "splits": Check("frames and scenes on the wrong side", 0, "", np.sum),
+    "settings": Check("frames of other samples or versions than the set's", 0, "frames", np.sum),
     "perturbation_uniform": Check("Kolmogorov-Smirnov distance of the drawn angles from uniform "
                                   "(limit: significance 1e-3)", 0),
     # One frame.

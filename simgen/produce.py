@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ from simgen import (
     halos,
     rain,
     render,
+    samples,
     scene,
     sensor,
     spray,
@@ -48,6 +48,7 @@ from simgen.recipe import SceneSpec, SkySpec, stream
 from simgen.rig import PosedRig, pose
 from simgen.run import MAX_ATTEMPTS, FrameRejected, FrameResult, FrameTask
 from simgen.store import write_frame
+from simgen.versions import versions
 
 M_ARENA_MAX, M_MMAP_THRESHOLD = -8, -3
 """of glibc's malloc.h"""
@@ -57,10 +58,6 @@ KERNEL_FOLDER = Path.home() / ".drjit"
 """where Dr.Jit leaves the kernels that it compiled, if it can"""
 NIGHT_LAMPS = 17
 """light slots of a night scene, one of them dark, see scene.load"""
-NIGHT_SAMPLES = 2
-"""Where lamps burn, so many times the samples: each picks one of several small lights. Of a country
-road that only headlights reach, 2 samples a pixel left 1.8 times the true power in an octave, 4
-left 1.2."""
 
 
 class Stopwatch:
@@ -167,7 +164,7 @@ def radiance(
     """Linear radiance (H, W, 3) of every camera, haze, spray and rain included."""
     air = daylight.airlight(sky)
     visibility_m = plan.spec.sky.visibility_m
-    clear, spp = [], samples_per_pixel(plan, job)
+    clear, spp = [], frame_samples(plan, job)["spp"]
     for number, camera in enumerate(plan.posed.cameras):
         seed = int(stream(job.seed, plan.index, plan.attempt, f"paths {number}").integers(1 << 31))
         image, features, seconds = render.render(
@@ -194,9 +191,9 @@ def radiance(
         return _in_rain(plan, job, plan.shower, images, distances, sky)
 
 
-def samples_per_pixel(plan: FramePlan, job: Job) -> int:
-    """Of the path tracer."""
-    return job.spp * (NIGHT_SAMPLES if daylight.is_night(plan.spec.sky) else 1)
+def frame_samples(plan: FramePlan, job: Job) -> dict[str, Any]:
+    """As the frame's spec holds them; "spp" is the path tracer's."""
+    return samples.of_frame(job.samples, night=daylight.is_night(plan.spec.sky))
 
 
 def _foggy_night(sky: SkySpec) -> bool:
@@ -368,18 +365,11 @@ def _spec_json(
         "halos": {"g": halos.FORWARD, "lights": halos.MOST_LIGHTS} if _foggy_night(sky) else None,
         "sensor": job.sensor,
         "exposure": [asdict(e) for e in exposures],
-        "samples": {"spp": samples_per_pixel(plan, job), "features_spp": render.FEATURE_SPP,
-                    "max_depth": render.MAX_DEPTH},
+        "samples": frame_samples(plan, job),
         "denoiser": "Open Image Denoise, fast, on irradiance" if job.denoise else "none",
         "engine": job.variant,
-        "versions": versions(),
+        "versions": {"simgen": __version__, **versions()},
     }  # fmt: skip
-
-
-def versions() -> dict[str, str]:
-    """Of everything that decides pixels."""
-    packages = ("mitsuba", "drjit", "roadgen", "pyoidn", "numpy", "opencv-python-headless")
-    return {"simgen": __version__, **{p: version(p) for p in packages}}
 
 
 # --- in a worker ---------------------------------------------------------------------------------

@@ -11,13 +11,20 @@ from __future__ import annotations
 import difflib
 import tomllib
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    WrapValidator,
+)
 
 from simgen.errors import UserError
 
@@ -37,15 +44,19 @@ Interval = tuple[float, float]
 Bounds = TypeVar("Bounds", tuple[float, float], tuple[int, int])
 
 
-def within(low: float, high: float) -> AfterValidator:
+def within(low: float, high: float) -> WrapValidator:
     """Requires an interval to be ordered and inside [low, high]."""
+    expected = f"expected [low, high] with {low:g} <= low <= high <= {high:g}"
 
-    def check(value: Bounds) -> Bounds:
-        if not low <= value[0] <= value[1] <= high:
-            raise ValueError(f"expected [low, high] with {low:g} <= low <= high <= {high:g}")
-        return value
+    def check(value: Any, parsed: Callable[[Any], Bounds]) -> Bounds:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            raise ValueError(expected)
+        bounds = parsed(value)
+        if not low <= bounds[0] <= bounds[1] <= high:
+            raise ValueError(expected)
+        return bounds
 
-    return AfterValidator(check)
+    return WrapValidator(check)
 
 
 def _check_shares(shares: dict[str, float]) -> dict[str, float]:
@@ -487,15 +498,45 @@ def recipe_names() -> list[str]:
 
 
 def load_presets(kind: str, table: type[T], chosen: tuple[str, ...] = ()) -> dict[str, T]:
+<<<<<<< HEAD
     """The presets of scenes/{daylight,weather}.toml; only the ``chosen`` ones if any are named."""
     path = scenes_dir() / f"{kind}.toml"
     presets = {k: checked(table, v, f"{path} [{k}]") for k, v in read_toml(path).items()}
     if not presets:
         raise UserError(f"{path}: holds no preset; expected tables like [name], each with share.")
+=======
+    """Presets of daylight or weather.
+
+    Those of scenes/{kind}.toml; only the ``chosen`` ones if any are named, and all of each TOML
+    file whose path is among these.
+    """
+    own = _presets_of(scenes_dir() / f"{kind}.toml", table)
+    paths = [name for name in chosen if name.endswith(".toml")]
+>>>>>>> manifest
     for name in chosen:
-        if name not in presets:
+        if name not in own and not (name in paths and Path(name).is_file()):
+            what = "no such file" if name in paths else "unknown"
             raise UserError(
-                f"--{kind} {name}: unknown; expected some of {', '.join(presets)} "
-                "(separated by commas)."
+                f"--{kind} {name}: {what}; expected some of {', '.join(own)} (separated by "
+                f"commas), or the path of a TOML file like scenes/{kind}.toml."
             )
-    return {k: v for k, v in presets.items() if not chosen or k in chosen}
+    presets = {k: v for k, v in own.items() if not chosen or k in chosen}
+    for path in paths:
+        for name, preset in _presets_of(Path(path), table).items():
+            if presets.setdefault(name, preset) != preset:
+                raise UserError(
+                    f"--{kind}: two different presets are called {name}. Rename the one in {path}."
+                )
+    return presets
+
+
+def _presets_of(path: Path, table: type[T]) -> dict[str, T]:
+    data = read_toml(path)
+    if not data:
+        raise UserError(f"{path}: no preset in it; expected a table [NAME] for each.")
+    for name, value in data.items():
+        if not isinstance(value, dict):
+            raise UserError(
+                f"{path}: key '{name}' = {value!r} is in no preset; expected tables [NAME] only."
+            )
+    return {name: checked(table, value, f"{path} [{name}]") for name, value in data.items()}

@@ -25,17 +25,16 @@ from simgen.atmosphere import transmittance
 from simgen.denoiser import denoised
 from simgen.mesh import IMAGE_ROWS, blocks
 from simgen.rig import Camera
+from simgen.samples import FEATURE_SPP, MAX_DEPTH
 from simgen.scene import Scene
 from simgen.skymap import seen_through
 
 Image = NDArray[Any]
 """float32"""
 
-MAX_DEPTH = 4
 RR_DEPTH = 1
 """Russian roulette from the first bounce: on an urban scene 2.3 instead of 5.8 s of CPU
 time, and the same mean radiance to 4 digits."""
-FEATURE_SPP = 8
 MIN_ALBEDO = 0.03
 """Irradiance of darker surfaces is not divided further: black would blow the noise up."""
 EDGES_BELOW_M = 5000.0

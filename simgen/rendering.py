@@ -14,10 +14,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from simgen import __version__, engine, given_map, progress, run
+<<<<<<< HEAD
 from simgen.config import Job, RenderOptions, draw_spec, resolve
 from simgen.errors import UserError
 from simgen.page import size_text
 from simgen.rig import drive_length
+=======
+from simgen.config import Job, RenderOptions, resolve
+from simgen.daylight import night_share
+>>>>>>> manifest
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
 from simgen.survey import read_log
@@ -145,8 +150,10 @@ def _estimate(job: Job, folder: Path, workers: int) -> Estimate:
     cameras, pairs = len(job.rig.camera_y_m), len(job.rig.pairs)
     flow_bytes = _BYTES_PER_PAIR_PIXEL * pairs if job.flow else 0.1 * pairs
     size = megapixels * 1e6 * (_BYTES_PER_CAMERA_PIXEL * cameras + flow_bytes)
+    by_day, at_night = job.samples["day_spp"], job.samples["night_spp"]
+    spp = by_day + (at_night - by_day) * night_share(job.daylight)
     seconds = _SECONDS_FIXED + cameras * megapixels * (
-        _SECONDS_PER_CAMERA_MEGAPIXEL + _SECONDS_PER_MEGASAMPLE * job.spp
+        _SECONDS_PER_CAMERA_MEGAPIXEL + _SECONDS_PER_MEGASAMPLE * spp
     )
     if job.variant == "scalar_rgb":
         seconds *= _SCALAR_FACTOR

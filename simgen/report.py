@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from simgen import charts
+from simgen import charts, samples
 from simgen.errors import UserError
 from simgen.geometry import Array
 from simgen.page import page, plain, section, size_text, table
@@ -110,7 +110,7 @@ def _asked_for(config: dict[str, Any]) -> list[tuple[str, str]]:
         ("pairs", ", ".join(f"{a}-{b}" for a, b in rig["pairs"])),
         ("field of view", f"{rig['hfov_deg']:g}° across"),
         ("drawn rotation", f"within ±{rig['perturbation_deg']:g}° about each axis"),
-        ("samples per pixel", f"{config['spp']}, twice as many where lamps burn"),
+        ("samples per pixel", samples.in_words(config)),
         ("denoised", "yes" if config["denoise"] else "no"),
         ("sensor", str(config["sensor"])),
         ("flow", "stored" if config["flow"] else "derived by the reader"),

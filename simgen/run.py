@@ -12,6 +12,7 @@ import fcntl
 import functools
 import json
 import multiprocessing
+import os
 import shutil
 import signal
 import socket
@@ -31,12 +32,15 @@ from simgen.errors import UserError
 from simgen.page import size_text
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import MANIFEST, Manifest, ShardEntry, open_shard
-from simgen.store import Source, assemble, stored_content
+from simgen.store import Source, assemble, file_sha256, stored_content
+from simgen.versions import versions
 
 FRAMES_DIR = ".frames"
 LOCK = ".lock"
 LOG = "render.jsonl"
 MAX_ATTEMPTS = 3
+GIVE_UP_AFTER = 5
+"""Frames that fail for good, in a set that has none that succeeded: then none is likely to."""
 POLL_S = 0.25
 """How often a run looks up from waiting, to see whether it was told to stop."""
 TEST_EVERY = 10
@@ -209,18 +213,19 @@ class SetFolder:
                 path.unlink()  # without a manifest, nobody knows how they were made
             fresh = Manifest(
                 SCHEMA_VERSION, config["seed"], __version__, config, frames_per_shard, n,
-                pairs_asked=asked,
+                pairs_asked=asked, versions=versions(),
             )  # fmt: skip
             fresh.save(self.path)
             return fresh
         found = Manifest.load(self.path)
-        own = {"frames_per_shard": frames_per_shard, "package_version": __version__}
-        differences = _differences({**found.config, **{k: getattr(found, k) for k in own}},
-                                   {**config, **own})  # fmt: skip
+        own = {"frames_per_shard": frames_per_shard, "package_version": __version__,
+               "versions": versions()}  # fmt: skip
+        kept = {k: getattr(found, k) or None for k in own}  # older sets do not tell of versions
+        differences = _differences({**found.config, **kept}, {**config, **own})
         if differences:
             raise UserError(
                 f"{self.path}: was rendered with other options: {'; '.join(differences)}. Ask for "
-                "the same, or choose another folder with --out."
+                "the same, with the same versions installed, or choose another folder with --out."
             )
         before = found.pairs_asked or dict.fromkeys(SIDES, found.num_pairs_asked)
         for side, num in before.items():
@@ -377,7 +382,7 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
     A run that is killed between replacing a shard and saying so leaves a longer one.
     """
     path = state.folder.path / shard.name
-    if path.exists() and path.stat().st_size == shard.bytes:
+    if path.exists() and path.stat().st_size == shard.bytes and _unchanged(state, shard):
         return shard
     try:
         with open_shard(path) as file:
@@ -387,6 +392,18 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
         return _assembled(state, shard.name, shard.split, sources)
     except (UserError, KeyError):
         return None
+
+
+def _unchanged(state: _State, shard: ShardEntry) -> bool:
+    """Whether a shard of the right size has its bytes, as far as its time does not tell.
+
+    Every run writes the manifest after the shards, so a later shard was written by somebody else.
+    To hash all of a large set would take minutes at each start: what changed without a new time,
+    on a failing disk, is found by ``simgen validate``.
+    """
+    path, manifest = state.folder.path / shard.name, state.folder.path / MANIFEST
+    written_before = path.stat().st_mtime_ns < manifest.stat().st_mtime_ns
+    return written_before or file_sha256(path) == shard.sha256
 
 
 def _render(
@@ -418,11 +435,28 @@ def _render(
                     finished.add(task.index)
                 elif task.index not in state.failed():
                     queue.append(task.index)
+                elif not finished:
+                    _require_hope(state)
             if done:
                 _assemble_complete(state, finished)
     finally:
         processes.stop()
         processes.join()
+
+
+def _require_hope(state: _State) -> None:
+    """UserError if a set without any finished frame has so many that failed for good."""
+    asked = set(state.plan.frames)
+    failures = [f for f in state.manifest.failures if f["frame_index"] in asked]
+    if len(failures) < GIVE_UP_AFTER:
+        return
+    reasons = dict.fromkeys(" ".join(r.split()) for f in failures for r in f["reasons"])
+    raise UserError(
+        f"{state.folder.path}: {len(failures)} frames failed {MAX_ATTEMPTS} times each, and none "
+        f"succeeded: {'; '.join(reasons)}. Expected most to succeed, so the run stops here: mend "
+        "the cause (simgen doctor tells of this machine; a recipe or map of your own may ask for "
+        "what cannot be built), and run the same command again: it tries these frames anew."
+    )
 
 
 def _processes(pool: Pool) -> ProcessPool:
@@ -486,8 +520,12 @@ def _record(reasons: Sequence[str], task: FrameTask, state: _State) -> dict[str,
 
 
 def _log(state: _State, record: dict[str, Any]) -> None:
-    with open(state.folder.path / LOG, "a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+    """Adds a line, which begins on its own even if the last one was cut off by a kill."""
+    with open(state.folder.path / LOG, "ab+") as file:
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+        whole = file.read(1) in (b"", b"\n")
+        file.write(b"\n" * (not whole) + json.dumps(record).encode() + b"\n")
 
 
 def _assemble_complete(state: _State, finished: set[int], partial: bool = False) -> None:

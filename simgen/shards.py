@@ -70,6 +70,8 @@ class Manifest:
     """frames that failed three times: frame, seed, reasons"""
     pairs_asked: dict[str, int] = field(default_factory=dict)
     """of each side of the split; empty in sets of older versions"""
+    versions: dict[str, str] = field(default_factory=dict)
+    """of the packages that decide pixels; empty in sets of older versions"""
 
     def save(self, folder: Path) -> None:
         """Writes manifest.json atomically."""

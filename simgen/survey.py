@@ -25,6 +25,9 @@ FLOW_EDGES_PX: Array = np.geomspace(0.1, 10_000.0, 76)
 _GRID_WIDTH = 240
 """about so many pixels of a row are looked at"""
 
+_FINISHED = {"index", "seconds", "rss_bytes", "pid", "host", "time"}
+"""keys that the record of a finished frame has"""
+
 Counts = NDArray[np.int64]
 
 
@@ -115,7 +118,7 @@ class RunLog:
     finished: Sequence[dict[str, Any]]
     """the last record of each finished frame, in the order of time"""
     num_unreadable: int
-    """lines that are no JSON: a run was ended while it wrote one"""
+    """lines that are no JSON, since a run was ended while it wrote one, or not ours"""
 
     def stage_seconds(self) -> dict[str, Array]:
         """Seconds of every frame for each stage, in the order of the stages."""
@@ -141,4 +144,6 @@ def _record(line: str) -> dict[str, Any] | None:
         value = json.loads(line)
     except ValueError:
         return None
-    return value if isinstance(value, dict) else None
+    if not isinstance(value, dict) or ("seconds" in value and not value.keys() >= _FINISHED):
+        return None
+    return value

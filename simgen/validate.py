@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from simgen import schema
-from simgen.checks import check_frame, max_angle_deg
+from simgen.checks import check_frame, is_night, max_angle_deg
 from simgen.errors import UserError
 from simgen.findings import Finding, Report, judge, judge_estimate, not_applicable
 from simgen.photometric import pool
@@ -49,6 +49,22 @@ class _Entry:
     sha256: str
 
 
+@dataclass(frozen=True)
+class _Manifest:
+    """What manifest.json says of the set."""
+
+    entries: list[_Entry]
+    failed_frames: set[int]
+    """that failed for good"""
+    num_asked: dict[str, int]
+    """frames asked for on each side, counted over both: of 30, the test side has those of every
+    tenth scene"""
+    versions: dict[str, str]
+    """of this package and of those that decide pixels; older versions do not tell of those"""
+    samples: dict[str, str]
+    """the rule for samples per pixel; of older versions, what is known of it by day"""
+
+
 @dataclass(frozen=True, eq=False)
 class _Facts:
     """What the checks over the set need of one frame."""
@@ -58,6 +74,11 @@ class _Facts:
     split: str
     angles: NDArray[np.float64]
     """(C, 3), as fractions of the rig's maximum"""
+    night: bool = False
+    """whether lamps burn"""
+    samples: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    """both empty if the spec does not say"""
 
 
 @dataclass
@@ -82,27 +103,24 @@ def validate_folder(
       UserError: there is no manifest, it is not one of ours, or a filter to read it is missing.
     """
     path = Path(path)
-    entries, failed_frames, num_asked = _read_manifest(path / "manifest.json")
-    num_frames = sum(len(e.frames) for e in entries)
+    manifest = _read_manifest(path / "manifest.json")
+    num_frames = sum(len(e.frames) for e in manifest.entries)
     read = _Set([], [])
-    for entry in entries:
+    for entry in manifest.entries:
         for _ in _check_shard(path / entry.name, entry, read):
             if progress is not None:
                 progress(len(read.facts), num_frames)
     read.findings += [
-        _check_frames(entries, read, failed_frames, num_asked),
+        _check_frames(manifest, read),
         _check_splits(read.facts),
+        _check_settings(manifest, read.facts),
         *_check_angles(read.facts),
         *_pool_photometry(read.findings),
     ]
     return Report(tuple(read.findings))
 
 
-def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], dict[str, int]]:
-    """The shards, the frames that failed for good, and how many were asked for of each side.
-
-    Frames are counted over both sides: of 30, the test side has those of every tenth scene.
-    """
+def _read_manifest(path: Path) -> _Manifest:
     if not path.is_file():
         raise UserError(
             f"{path}: no manifest here, so this is no finished set. Name the folder that "
@@ -116,10 +134,16 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], dict[str, int]]:
             for s in manifest["shards"]
         ]
         failed_frames = {int(failure["frame_index"]) for failure in manifest["failures"]}
-        num_pairs = len(manifest["config"]["rig"]["pairs"])
+        config = manifest["config"]
+        num_pairs = len(config["rig"]["pairs"])
         of_both = dict.fromkeys(("train", "test"), int(manifest["num_pairs_asked"]))
         asked = manifest.get("pairs_asked") or of_both
         num_asked = {side: -(-int(num) // num_pairs) for side, num in asked.items()}
+        versions = _texts(manifest.get("versions", {}))
+        if "package_version" in manifest:
+            versions["simgen"] = str(manifest["package_version"])
+        known = {"day_spp": config["spp"]} if "spp" in config else {}
+        samples = _texts(config.get("samples", known))
     except OSError as error:
         raise UserError(
             f"{path}: cannot be read ({error.strerror}). Mend its permissions."
@@ -133,7 +157,11 @@ def _read_manifest(path: Path) -> tuple[list[_Entry], set[int], dict[str, int]]:
         raise UserError(f"{path}: {_other_schema(version)}")
     if not entries:
         raise UserError(f'{path}: lists no shard yet. Let "simgen render" finish at least one.')
-    return entries, failed_frames, num_asked
+    return _Manifest(entries, failed_frames, num_asked, versions, samples)
+
+
+def _texts(values: Mapping[str, Any]) -> dict[str, str]:
+    return {str(k): str(v) for k, v in values.items()}
 
 
 def _other_schema(version: Any) -> str:
@@ -165,7 +193,8 @@ def _check_shard(path: Path, entry: _Entry, read: _Set) -> Iterator[None]:
 def _check_hash(path: Path, entry: _Entry) -> Finding:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    detail = f"is {digest[:12]}…, the manifest says {entry.sha256[:12]}…"
+    detail = (f"is {digest[:12]}…, the manifest says {entry.sha256[:12]}…; delete the file and run "
+              "the same render command again")  # fmt: skip
     return judge("sha256", digest != entry.sha256, entry.name, detail)
 
 
@@ -236,20 +265,22 @@ def _frame(shard: h5py.File, i: int) -> dict[str, Any]:
 
 
 def _facts(arrays: Mapping[str, Any], split: str) -> _Facts:
-    angles = arrays["perturbation_deg"] / (max_angle_deg(arrays["spec"]) or np.nan)
-    return _Facts(int(arrays["frame_index"]), int(arrays["scene_index"]), split, angles)
+    spec = arrays["spec"]
+    angles = arrays["perturbation_deg"] / (max_angle_deg(spec) or np.nan)
+    samples, versions = (_texts(spec.get(key, {})) for key in ("samples", "versions"))
+    return _Facts(int(arrays["frame_index"]), int(arrays["scene_index"]), split, angles,
+                  is_night(spec), samples, versions)  # fmt: skip
 
 
 # --- the set ------------------------------------------------------------------------------------
 
 
-def _check_frames(
-    entries: Sequence[_Entry], read: _Set, failed_frames: set[int], num_asked: Mapping[str, int]
-) -> Finding:
+def _check_frames(manifest: _Manifest, read: _Set) -> Finding:
     """Every index once, none left out but recorded failures and the side that is not there.
 
     Frames that were asked for and are not there yet are missing, too.
     """
+    entries, num_asked = manifest.entries, manifest.num_asked
     listed = [i for e in entries for i in e.frames]
     found = [f.frame for f in read.facts]
     expected = {
@@ -260,7 +291,7 @@ def _check_frames(
         if _split_of(i // read.frames_per_scene) == side
     }  # fmt: skip
     faults = {
-        "missing": expected - set(listed) - failed_frames,
+        "missing": expected - set(listed) - manifest.failed_frames,
         "twice": {i for i, n in Counter(listed).items() if n > 1},
         "listed but not found": set(listed) - set(found),
         "found but not listed": set(found) - set(listed),
@@ -288,6 +319,38 @@ def _check_splits(facts: Sequence[_Facts]) -> Finding:
     both = sorted(scene for scene, splits in sides.items() if len(splits) > 1)
     detail = f"frames on the wrong side: {wrong}; scenes on both: {both}" if wrong else ""
     return judge("splits", len(wrong) + len(both), "set", detail)
+
+
+def _check_settings(manifest: _Manifest, facts: Sequence[_Facts]) -> Finding:
+    """One rule for samples and one set of versions: the manifest's, or that of most frames.
+
+    Sets of older versions tell of them in the specs of their frames only.
+    """
+    wrong: dict[str, set[int]] = {}
+    for night, spp in ((False, "day_spp"), (True, "night_spp")):
+        other = "day_spp" if night else "night_spp"
+        known = {"spp" if k == spp else k: v for k, v in manifest.samples.items() if k != other}
+        found = {f.frame: f.samples for f in facts if f.night == night}
+        _unlike("samples", found, known, wrong)
+    _unlike("versions", {f.frame: f.versions for f in facts}, manifest.versions, wrong)
+    detail = "; ".join(f"{what}: {_listed(frames)}" for what, frames in wrong.items())
+    return judge("settings", len(set().union(*wrong.values())), "set", detail)
+
+
+def _unlike(
+    name: str,
+    found: Mapping[int, Mapping[str, str]],
+    known: Mapping[str, str],
+    wrong: dict[str, set[int]],
+) -> None:
+    """Adds the frames whose values differ from the known ones, or else from those of most."""
+    for key in sorted({*known, *(k for values in found.values() for k in values)}):
+        counts = Counter(values.get(key) for values in found.values())
+        right = known[key] if key in known else counts.most_common(1)[0][0]
+        for frame, values in found.items():
+            if (value := values.get(key)) != right:
+                said = f"{name}.{key} {value or 'missing'}, expected {right or 'none'}"
+                wrong.setdefault(said, set()).add(frame)
 
 
 def _check_angles(facts: Sequence[_Facts]) -> Iterator[Finding]:

@@ -160,6 +160,11 @@ def reject_always(task: FrameTask) -> FrameResult:
     return render(task)
 
 
+def crash_always(task: FrameTask) -> FrameResult:
+    """No frame can be built."""
+    raise ImportError(f"no sky,\nnot even {task.index % 2}")
+
+
 def crash_on_first_attempt(task: FrameTask) -> FrameResult:
     """Frame 1 cannot be built at attempt 0."""
     if task.index == 1 and task.attempt == 0:

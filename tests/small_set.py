@@ -53,6 +53,7 @@ def make_frame(index: int, *, limit_deg: float = 1.0, hw: tuple[int, int] = HW) 
             "recipe": ("urban", "rural")[index % 2],
             "daylight": {"name": "noon", "sun_elevation_deg": 40.0 + index},
             "weather": {"name": "partly_cloudy"},
+            "samples": {"spp": 2, "features_spp": 8, "max_depth": 4},
             "versions": {"mitsuba": "3.9.1", "simgen": "0.1.0"},
         },
     }

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from simgen import fittings
 from simgen.buildings import MAX_FAR_TRIANGLES, WALL_MATERIALS, Massing, build
 from simgen.facades import drawn_openings, drawn_style, wall_surface, walls_of
 from simgen.massing import KINDS
 from simgen.materials import MATERIALS
 from simgen.mesh import Model, Part
+from simgen.night import LIT_SHARE, glowing
 from simgen.roofs import convex_pieces, roof_surface
 from simgen.solids import boxes, inside_out
 
@@ -79,6 +83,34 @@ def test_every_kind_is_made_of_valid_parts_one_per_material(kind: str, lod: int)
         else:
             assert p.uv is not None
             assert p.uv.shape == (len(p.vertices), 2)
+
+
+@pytest.mark.parametrize("lod", [0, 1])
+def test_windows_have_blinds_and_some_of_them_are_lit_at_night(
+    lod: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hung: list[Part] = []
+    covers = fittings._covers
+
+    def recorded(*args: Any, **kwargs: Any) -> Model:
+        hung.extend(model := covers(*args, **kwargs))
+        return model
+
+    monkeypatch.setattr(fittings, "_covers", recorded)
+    blocks = [built(massing("apartments"), lod, seed) for seed in range(4)]
+    panes = [p for block in blocks for p in block if p.material == "glass"]
+    num_panes = sum(len(p.faces) for p in panes) // 2
+    num_fabrics = sum(len(p.faces) for p in hung) // 2
+    assert 0.1 * num_panes < num_fabrics < 2 * num_panes
+    shown = np.concatenate([p.vertices for block in blocks for p in block])
+    fabric = np.concatenate([p.vertices for p in hung])
+    assert {tuple(v) for v in fabric.astype(np.float32)} <= {
+        tuple(v) for v in shown.astype(np.float32)
+    }
+    lit = np.concatenate([
+        p.emission.any(axis=1) for p in glowing(panes, rng=np.random.default_rng(0))
+    ])  # fmt: skip
+    assert lit.mean() == pytest.approx(LIT_SHARE, abs=0.1)
 
 
 def test_the_same_generator_state_gives_the_same_building() -> None:

@@ -10,10 +10,15 @@ from pathlib import Path
 
 import fakes
 import pytest
-from test_config import _recipe_file
+from test_config import _presets_file, _recipe_file
 
 from simgen import __main__ as cli
+<<<<<<< HEAD
 from simgen import doctor, rendering, run
+=======
+from simgen import rendering, run
+from simgen.config import RenderOptions, resolve
+>>>>>>> manifest
 from simgen.errors import UserError
 from simgen.shards import ShardSet
 
@@ -63,6 +68,18 @@ def test_render_says_what_it_will_do_does_it_and_says_what_came_of_it(
     assert [int(f.frame_index) for f in ShardSet(out)] == [0, 1]
     assert cli.main(args) == 0
     assert "Going on: 2 of 2 rig frames are there already." in capsys.readouterr().err
+
+
+def test_the_hours_told_beforehand_count_the_samples_of_nights(tmp_path):
+    """Half of the share of a preset whose sun sets in its middle."""
+
+    def seconds(daylight: str, spp: int) -> float:
+        job = resolve(RenderOptions(n=3, daylight=daylight, spp=spp), "llvm_ad_rgb")
+        return rendering._estimate(job, tmp_path, workers=1).seconds_per_frame
+
+    path = _presets_file(tmp_path, "daylight", even="dusk: sun_elevation_deg = [-3.0, 3.0]")
+    assert seconds("night", 2) == seconds("noon", 4) > seconds("noon", 2)
+    assert seconds(str(path), 2) == pytest.approx((seconds("noon", 2) + seconds("night", 2)) / 2)
 
 
 def test_as_many_workers_as_fit_render_if_nobody_says_how_many(
@@ -144,6 +161,8 @@ def test_bad_options_are_one_paragraph_and_write_nothing(tmp_path, capsys, args,
     ({"keep": "1.5"}, "mine.toml: key 'buildings.keep' = 1.5: Input should be less than or equal"),
     ({"wear": "[0.2, 7]"}, "key 'road.wear' = [0.2, 7]: expected [low, high] with 0 <= low <= "
                            "high <= 1"),
+    ({"lanes": '{ "40" = 1.0 }'}, "mine.toml: key 'road.lanes' = {'40': 1.0}: unknown choice '40'; "
+                                  "expected some of 1, 2, 3, 4"),
 ])  # fmt: skip
 def test_a_bad_recipe_is_one_paragraph_and_writes_nothing(tmp_path, capsys, change, expected):
     recipe, out = _recipe_file(tmp_path, **change), tmp_path / "set"
@@ -151,6 +170,23 @@ def test_a_bad_recipe_is_one_paragraph_and_writes_nothing(tmp_path, capsys, chan
         cli.main(["render", "--n", "3", "--out", str(out), "--recipes", str(recipe), *SMALL]) == 2
     )
     assert expected in _paragraph(capsys)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("kind, change, expected", [
+    ("daylight", "noon: sun_elevation_deg = [-30.0, -30.0]",
+     "[mine]: key 'sun_elevation_deg' = [-30.0, -30.0]: expected [low, high] with -18 <= low <= "
+     "high <= 70."),
+    ("weather", "fog: visibility_m = [0.0, 0.0]",
+     "[mine]: key 'visibility_m' = [0.0, 0.0]: expected [low, high] with 50 <= low <= high <= "),
+    ("weather", "fog: visibility_m = 0",
+     "[mine]: key 'visibility_m' = 0: expected [low, high] with 50 <= low <= high <= 100000."),
+])  # fmt: skip
+def test_a_bad_preset_is_one_paragraph_and_writes_nothing(tmp_path, capsys, kind, change, expected):
+    path, out = _presets_file(tmp_path, kind, mine=change), tmp_path / "set"
+    args = ["render", "--n", "3", "--out", str(out), f"--{kind}", str(path), *SMALL]
+    assert cli.main(args) == 2
+    assert f"my_{kind}.toml {expected}" in _paragraph(capsys)
     assert not out.exists()
 
 

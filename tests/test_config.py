@@ -56,6 +56,15 @@ def test_a_job_is_the_inverse_of_its_content():
     assert Job.from_content(json.loads(json.dumps(job.content(), sort_keys=True))) == job
 
 
+def test_the_content_states_the_samples_by_day_and_night():
+    content = _job(spp=8).content()
+    assert content["samples"] == {
+        "day_spp": 8, "night_spp": 16, "features_spp": 8, "max_depth": 4
+    }  # fmt: skip
+    del content["samples"]  # as in sets of older versions
+    assert Job.from_content(content) == _job(spp=8)
+
+
 def test_each_option_that_decides_pixels_changes_the_content():
     base = _job().content()
     changes = {"seed": 1, "rig": "truck", "size": "96x54", "spp": 8, "denoise": False,
@@ -117,6 +126,61 @@ def test_recipes_are_named_or_read_from_files(tmp_path):
     assert job.recipes["mine"].buildings.keep == 0.1
 
 
+def _presets_file(folder: Path, kind: str, **presets: str) -> Path:
+    """A TOML file of presets, each the package's of that name with one line replaced."""
+    own = (scenes_dir() / f"{kind}.toml").read_text(encoding="utf-8").split("\n[")[1:]
+    tables = {table.partition("]")[0]: table.splitlines()[1:] for table in own}
+    text = ""
+    for name, change in presets.items():
+        base, _, line = change.partition(": ")
+        key = line.split(" = ")[0]
+        kept = [x for x in tables[base] if not x.startswith(f"{key} = ")]
+        text += "\n".join([f"[{name}]", *kept, line, ""])
+    path = folder / f"my_{kind}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_presets_are_named_or_read_from_files(tmp_path):
+    weather = _presets_file(tmp_path, "weather", thick="fog: visibility_m = [60.0, 90.0]")
+    daylight = _presets_file(tmp_path, "daylight", low="noon: sun_elevation_deg = [1.0, 3.0]",
+                             lower="dusk: sun_elevation_deg = [-1.0, 1.0]")  # fmt: skip
+    job = _job(weather=f"clear,{weather}", daylight=str(daylight))
+    assert {k: t.visibility_m for k, t in job.weather.items()} == {
+        "clear": (25000.0, 60000.0), "thick": (60.0, 90.0)
+    }  # fmt: skip
+    assert {k: (t.share, t.sun_elevation_deg) for k, t in job.daylight.items()} == {
+        "low": (0.18, (1.0, 3.0)), "lower": (0.15, (-1.0, 1.0))
+    }  # fmt: skip
+    stored = json.loads(json.dumps(job.content(), sort_keys=True))
+    assert Job.from_content(stored) == job
+    assert _draws(Job.from_content(stored)) == _draws(job)
+
+
+def test_two_different_presets_of_one_name_are_refused(tmp_path):
+    path = _presets_file(tmp_path, "weather", fog="fog: visibility_m = [60.0, 90.0]")
+    expected = r"--weather: two different presets are called fog\. Rename the one in .*my_weather"
+    with pytest.raises(UserError, match=expected):
+        _job(weather=f"fog,{path}")
+    assert _job(weather=str(path)).weather["fog"].visibility_m == (60.0, 90.0)
+    same = _presets_file(tmp_path, "weather", fog="fog: share = 0.1")
+    assert _job(weather=f"fog,{same}") == _job(weather="fog")
+
+
+@pytest.mark.parametrize("text, expected", [
+    ("", r"my\.toml: no preset in it; expected a table \[NAME\] for each"),
+    ("share = 0.5", r"my\.toml: key 'share' = 0\.5 is in no preset; expected tables \[NAME\]"),
+    ("[a]\nshare = 1", r"my\.toml \[a\]: key 'cloud_cover' is missing; "),
+    ("[a]\nvisibility = 1", r"unknown key 'visibility' \(did you mean 'visibility_m'\?\)"),
+    ("[a", r"my\.toml: not valid TOML"),
+])  # fmt: skip
+def test_an_impossible_file_of_presets_is_refused(tmp_path, text, expected):
+    path = tmp_path / "my.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=expected):
+        _job(weather=str(path))
+
+
 def test_two_different_files_of_one_name_are_refused(tmp_path):
     path = _recipe_file(tmp_path, name="urban.toml", keep="0.1")
     with pytest.raises(UserError, match="two different files are called urban"):
@@ -170,6 +234,8 @@ def test_a_rig_is_read_from_a_file(tmp_path):
     ({"recipes": "moon"}, r"Recipe 'moon' is not known\. Expected one of highway, rural, suburban, "
                           r"urban, or the path"),
     ({"weather": "clear,hail"}, r"--weather hail: unknown; expected some of clear, partly_cloudy"),
+    ({"weather": "my/hail.toml"}, r"--weather my/hail\.toml: no such file; expected some of clear, "
+                                  r".*, or the path of a TOML file like scenes/weather\.toml"),
     ({"daylight": "tea"}, r"--daylight tea: unknown; expected some of dawn, morning, noon"),
 ])  # fmt: skip
 def test_impossible_options_are_refused(change, expected):

@@ -8,8 +8,8 @@ import pytest
 from simgen import atmosphere, clouds, daylight
 from simgen.atmosphere import clear_dome, sun_direction, sun_klx, transmittance
 from simgen.color import luminance
-from simgen.daylight import environment
-from simgen.recipe import SkySpec
+from simgen.daylight import environment, is_night, night_share
+from simgen.recipe import DaylightTable, SkySpec, WeatherTable, draw_sky, load_presets
 from simgen.skymap import DOME_HW, SKY_HW, directions, dome_directions, enlarged, illuminance
 
 
@@ -169,3 +169,14 @@ def test_our_sky_agrees_with_mitsubas():
                     for f in (luminance, lambda rgb: rgb[:, 2] / rgb[:, 0]))  # fmt: skip
     assert bright > 0.8
     assert blue > 0.8
+
+
+def test_the_expected_share_of_nights_is_that_of_the_draws():
+    presets = load_presets("daylight", DaylightTable)
+    weather = load_presets("weather", WeatherTable)
+    drawn = [is_night(draw_sky(presets, weather, seed=(0, i, 0))) for i in range(1000)]
+    expected = night_share(presets)
+    assert 0.1 < expected < 0.5
+    assert abs(np.mean(drawn) - expected) < 4 * np.sqrt(expected * (1 - expected) / len(drawn))
+    assert night_share({"night": presets["night"]}) == 1.0
+    assert night_share({"noon": presets["noon"]}) == 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -106,6 +108,23 @@ def test_paint_is_where_the_marking_says(built):
     bright, dark = seen(middles), seen(beside)
     assert min(len(bright), len(dark)) > 5
     assert np.median(bright) > 1.5 * np.median(dark)
+
+
+@pytest.mark.parametrize("name", ["tracks", "seams", "patches", "stains"])
+def test_a_street_has_tracks_cracks_patches_and_stains_that_show(built, name):
+    """Each lies on the asphalt, and changes the map where it lies."""
+    spec, _, site, paints, _ = built
+    layers = ground._layers(site, spec, paints)
+    places = getattr(layers, name)
+    middles = np.array([np.mean(place, axis=0) for place in places]) if name != "stains" else places
+    on_road = shapely.contains(site.asphalt, shapely.points(middles[:, :2]))
+    assert on_road.sum() >= 3
+    band, without = bands(np.eye(4), OPTICS)[-1], replace(layers, **{name: places[:0]})
+    with_it, bare = (ground._paint(band, x, spec, 0)[0].astype(int) for x in (layers, without))
+    changed = (with_it != bare).any(axis=-1)
+    assert 10 < changed.sum() < 0.2 * changed.size
+    if name != "tracks":  # which shine on a fresh road and are pale on a worn one
+        assert (with_it <= bare).all()
 
 
 def test_the_same_ground_is_seen_from_further_along():

@@ -6,7 +6,10 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
+
+import pytest
 
 from simgen import recipe
 
@@ -53,3 +56,24 @@ def test_the_wheel_carries_the_scenes_to_where_they_are_looked_for(tmp_path, mon
     monkeypatch.setattr(recipe, "__file__", str(tmp_path / "simgen" / "recipe.py"))
     assert recipe.scenes_dir() == tmp_path / "simgen" / "_scenes"
     assert "urban" in recipe.recipe_names()
+
+
+@pytest.mark.slow
+def test_a_built_wheel_holds_the_code_the_scenes_and_the_weights(tmp_path):
+    """Of every folder all that the checkout has; pip fetches the builder."""
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", tmp_path, ROOT]
+    subprocess.run(command, check=True)
+    (wheel,) = tmp_path.glob("flowrect-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        found = set(archive.namelist())
+    places = {"simgen": "simgen", "flowrect": "flowrect", "scenes": "simgen/_scenes"}
+    expected = {
+        f"{place}/{path.relative_to(ROOT / folder).as_posix()}"
+        for folder, place in places.items()
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert {"simgen/_scenes/urban.toml", "simgen/_scenes/weather.toml",
+            "simgen/_scenes/rigs/default.toml", "simgen/_scenes/maps/station_street.xodr",
+            "flowrect/weights_data/small.safetensors"} <= expected  # fmt: skip
+    assert {name for name in found if ".dist-info/" not in name} == expected

@@ -107,7 +107,7 @@ def test_draw_of_a_point_interval_is_the_point():
     ("lane_width_m", "[1.0, 3.5]", r"key 'road\.lane_width_m' = \[1\.0, 3\.5\]: expected "
                                    r"\[low, high\] with 2\.5 <= low <= high <= 4\.5"),
     ("lane_width_m", "[3.5, 3.0]", r"key 'road\.lane_width_m' .* 2\.5 <= low <= high <= 4\.5"),
-    ("lane_width_m", "3.5", r"key 'road\.lane_width_m' = 3\.5: .*valid tuple"),
+    ("lane_width_m", "3.5", r"key 'road\.lane_width_m' = 3\.5: expected \[low, high\] with 2"),
     ("skyline", "[60, 12]", r"key 'background\.skyline' .* 0 <= low <= high <= 400"),
     ("skyline", "[0.5, 12]", r"key 'background\.skyline\.0' = 0\.5: .*integer"),
     ("kind", '"canal"', r"key 'road\.kind' = 'canal': .*town\|rural\|motorway"),

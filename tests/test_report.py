@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,12 +15,13 @@ from matplotlib.patches import StepPatch
 from small_set import HEIGHT_M, HW, make_frame, write_set
 
 from simgen import survey
-from simgen.describe import describe
+from simgen.describe import _summary, _versions, describe
 from simgen.errors import UserError
 from simgen.report import _angles, _contact_sheet, _cost, write_report
-from simgen.run import LOG
+from simgen.run import LOG, SetFolder
 from simgen.schema import FIELDS, LABELS, VISIBLE
-from simgen.shards import Manifest, ShardSet
+from simgen.shards import MANIFEST, Manifest, ShardSet
+from simgen.validate import validate_folder
 
 FAILURE = {"frame_index": 4, "attempt": 2, "reasons": ["depth < 1 m", "no <b>sky</b>"], "seed": 0}
 
@@ -93,10 +96,11 @@ def test_the_log_keeps_the_last_record_of_a_frame_and_counts_broken_lines(folder
     line = (folder / LOG).read_text().splitlines()[0]
     again = line.replace('"time": 0.0', '"time": 99.0').replace('"path": 2.0', '"path": 7.0')
     (folder / "copy").mkdir()
-    (folder / "copy" / LOG).write_text(f'{line}\n{again}\n{line[:20]}\n{{"worker_died": "x"}}\n')
+    foreign = '{"worker_died": "x"}\n{"index": 0, "seconds": {}}\n'  # no record, none of ours
+    (folder / "copy" / LOG).write_text(f"{line}\n{again}\n{line[:20]}\n{foreign}")
     log = survey.read_log(folder / "copy")
     assert log.stage_seconds()["path"].tolist() == [7.0]
-    assert log.num_unreadable == 1
+    assert log.num_unreadable == 2
 
 
 # --- the page ------------------------------------------------------------------------------------
@@ -223,6 +227,47 @@ def test_the_example_of_the_readme_reads_what_it_says(folder: Path, capsys) -> N
         values = eval(f"[{code.rpartition(' = ')[2]}]", {**names, "pair": 0})
         assert ", ".join(str(x.shape) for x in values) == shapes
         assert str(values[0].dtype) == (what if what != "drawn" else "float64")
+
+
+@pytest.mark.parametrize("asked, said", [
+    ({}, "asked for: 12 pairs, seed 0"),
+    ({"train": 12, "test": 12}, "asked for: 12 pairs, seed 0"),
+    ({"train": 12, "test": 9}, "asked for: --n 12 --split train, --n 9 --split test, seed 0"),
+    ({"test": 12}, "asked for: --n 12 --split test, seed 0"),
+])  # fmt: skip
+def test_what_was_asked_of_each_side_is_described(folder: Path, asked, said) -> None:
+    assert said in _summary(folder, replace(Manifest.load(folder), pairs_asked=asked))
+
+
+def test_versions_that_differ_are_counted() -> None:
+    specs = [{"versions": {"numpy": v, "mitsuba": "3.9.1"}} for v in ("2.1", "2.0", "2.1")]
+    assert _versions(specs) == (
+        "Made with\n  mitsuba  3.9.1\n  numpy    2.0 (1 frames), 2.1 (2 frames)"
+    )
+
+
+def test_the_rule_for_samples_is_told(folder: Path, text: str) -> None:
+    assert "<td>2, 4 where lamps burn</td>" in text
+    assert re.search(r"^  samples\.night_spp +4$", describe(folder), re.MULTILINE)
+
+
+def test_a_set_of_an_older_version_is_read_told_and_checked_but_not_continued(
+    folder: Path, tmp_path: Path
+) -> None:
+    """Its manifest states neither a rule for samples nor versions."""
+    old = shutil.copytree(folder, tmp_path / "old")
+    manifest = json.loads((old / MANIFEST).read_text("utf-8"))
+    asked = manifest["config"].copy()
+    del manifest["config"]["samples"], manifest["versions"]
+    (old / MANIFEST).write_text(json.dumps(manifest), "utf-8")
+    assert [int(frame.frame_index) for frame in ShardSet(old)] == [0, 1, 2, 3]
+    assert re.search(r"^  spp +2$", described := describe(old), re.MULTILINE)
+    assert "samples." not in described
+    page = write_report(old, old / "report.html").read_text("utf-8")
+    assert "<td>2 by day; where lamps burn as each frame&#x27;s spec says</td>" in page
+    assert not [f for f in validate_folder(old).failed if f.check == "settings"]
+    with pytest.raises(UserError, match="options: samples: not in the folder; versions: not in"):
+        SetFolder(old).open_manifest(asked, 16, 12)
 
 
 def test_a_set_without_frames_is_described_as_such(tmp_path: Path) -> None:

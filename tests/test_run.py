@@ -181,6 +181,16 @@ def test_a_set_without_flow_reads_as_one_with_it(whole, tmp_path):
         assert (frame.flow(1) == full.flow(1)).all()
 
 
+def test_a_line_of_the_log_that_was_cut_off_takes_no_other_with_it(tmp_path):
+    _render(tmp_path / "set", 1)
+    log = tmp_path / "set" / LOG
+    log.write_text(log.read_text()[:-20])
+    _render(tmp_path / "set", 3)
+    cut, *lines = log.read_text().splitlines()
+    assert cut.startswith('{"index": 0')
+    assert [json.loads(line)["index"] for line in lines] == [1, 2]
+
+
 def test_the_log_has_one_line_per_frame_with_its_seconds(tmp_path):
     _render(tmp_path / "set", 3)
     lines = _log(tmp_path / "set")
@@ -371,6 +381,27 @@ def test_three_rejections_are_a_failure_and_the_rest_is_finished(tmp_path):
     assert Manifest.load(tmp_path / "set") == manifest
 
 
+def test_a_run_in_which_nothing_succeeds_gives_up_and_can_be_continued(whole, tmp_path):
+    path = tmp_path / "set"
+    with pytest.raises(
+        UserError, match="5 frames failed 3 times each, and none succeeded"
+    ) as error:
+        _render(path, 7, fakes.crash_always)
+    said = str(error.value)
+    assert "succeeded: ImportError: no sky, not even 0; ImportError: no sky, not even 1. " in said
+    assert "mend the cause" in said
+    assert "\n" not in said
+    assert [f["frame_index"] for f in Manifest.load(path).failures] == [0, 1, 2, 3, 4]
+    _render(path, 7)
+    assert _files(path) == _files(whole)
+
+
+def test_a_set_that_has_a_frame_does_not_give_up(tmp_path):
+    _render(tmp_path / "set", 1)
+    manifest = _render(tmp_path / "set", 7, fakes.crash_always)
+    assert [f["frame_index"] for f in manifest.failures] == [1, 2, 3, 4, 5, 6]
+
+
 def test_failures_are_tried_again_by_the_next_run(whole, tmp_path):
     failed = _render(tmp_path / "set", 7, fakes.reject_always)
     assert _render(tmp_path / "set", 7, fakes.reject_always) == failed
@@ -408,6 +439,21 @@ def test_frames_of_a_lost_or_damaged_shard_are_redone(whole, tmp_path, damage):
     assert notes == [
         f"{path / 'train-00001.h5'} is missing or damaged: its frames are rendered again."
     ]
+    assert _files(path) == _files(whole)
+
+
+@pytest.mark.parametrize("changed, again", [(True, [4, 5, 6]), (False, [])])
+def test_a_shard_that_is_later_than_the_manifest_is_held_to_its_hash(
+    whole, tmp_path, changed, again
+):
+    path, rendered = shutil.copytree(whole, tmp_path / "set"), []
+    shard = path / "train-00001.h5"
+    content = bytearray(shard.read_bytes())
+    with h5py.File(shard, "r") as file:
+        content[file["image"].id.get_chunk_info(0).byte_offset + 20] ^= changed
+    shard.write_bytes(content)
+    _render(path, 7, frame_done=lambda result: rendered.append(result.index))
+    assert rendered == again
     assert _files(path) == _files(whole)
 
 
@@ -508,6 +554,31 @@ def test_other_shard_sizes_and_versions_are_refused(tmp_path, monkeypatch):
     with pytest.raises(UserError, match=f"package_version: the folder has {simgen.__version__}, "
                                         "you asked for 99.0"):  # fmt: skip
         folder.open_manifest(FakeJob().content(), 16, 9)
+
+
+def test_other_versions_of_what_decides_pixels_are_refused(tmp_path, monkeypatch):
+    folder = SetFolder(tmp_path)
+    config = {"seed": 0, "samples": {"night_spp": 4}}
+    folder.open_manifest(config, 16, 9)
+    assert set(Manifest.load(tmp_path).versions) == {
+        "mitsuba", "drjit", "pyoidn", "roadgen", "numpy", "opencv-python-headless"
+    }  # fmt: skip
+    here = run.versions()
+    monkeypatch.setattr(run, "versions", lambda: {**here, "mitsuba": "9.9"})
+    expected = (f"versions.mitsuba: the folder has {here['mitsuba']}, you asked for 9.9. Ask for "
+                "the same, with the same versions installed, or")  # fmt: skip
+    with pytest.raises(UserError, match=expected):
+        folder.open_manifest(config, 16, 9)
+
+
+def test_a_set_of_another_rule_for_samples_or_of_none_is_refused(tmp_path):
+    folder = SetFolder(tmp_path)
+    fresh = folder.open_manifest({"seed": 0, "samples": {"night_spp": 4}}, 16, 9)
+    with pytest.raises(UserError, match=r"samples\.night_spp: the folder has 4, you asked for 8"):
+        folder.open_manifest({"seed": 0, "samples": {"night_spp": 8}}, 16, 9)
+    replace(fresh, config={"seed": 0}, versions={}).save(tmp_path)  # as older versions left it
+    with pytest.raises(UserError, match=r"options: samples: not in the folder; versions: not in"):
+        folder.open_manifest(fresh.config, 16, 9)
 
 
 def test_differences_are_named_key_by_key(tmp_path):

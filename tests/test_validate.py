@@ -23,7 +23,9 @@ from simgen.findings import CHECKS, Finding, Report, judge_estimate
 from simgen.photometric import Estimate, pool
 from simgen.validate import (
     _check_angles,
+    _check_settings,
     _Facts,
+    _Manifest,
     _pool_photometry,
     check_frame,
     validate_folder,
@@ -38,6 +40,7 @@ SET_CHECKS = {
     "attributes",
     "frames",
     "splits",
+    "settings",
     "perturbation_uniform",
     "photometric_offset",
 }
@@ -628,7 +631,56 @@ def test_worst_holds_the_largest_value_and_its_place(folder: Path, tiny: Frame) 
 def test_a_changed_byte_is_found(folder: Path) -> None:
     with h5py.File(folder / "train-00000.h5", "r+") as shard:
         shard["image"][0, 0, 0, 0, 0] ^= 1
-    assert set(failures(folder)) == {"sha256"}
+    found = failures(folder)
+    assert set(found) == {"sha256"}
+    assert found["sha256"].endswith("; delete the file and run the same render command again")
+
+
+RULE = {"day_spp": 2, "night_spp": 4, "features_spp": 8, "max_depth": 4}
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("change, expected", [
+    ({}, None),
+    ({"samples": {"spp": 4, "features_spp": 8}}, "samples.spp 4, expected 2: [2]"),
+    ({"samples": {"spp": 2, "features_spp": 16}}, "samples.features_spp 16, expected 8: [2]"),
+    ({"versions": {"numpy": "9.9"}}, "versions.numpy 9.9, expected 2.0: [2]"),
+    ({"versions": {}}, "versions.numpy missing, expected 2.0: [2]"),
+])  # fmt: skip
+def test_frames_of_other_samples_or_versions_are_found(
+    folder: Path, tiny: Frame, stated: bool, change: dict[str, Any], expected: str | None
+) -> None:
+    """Against the manifest, or, where that is of an older version, against most frames."""
+    made = {"samples": {"spp": 2, "features_spp": 8}, "versions": {"numpy": "2.0"}}
+    specs = [tiny["spec"] | made, tiny["spec"] | made | change]
+    write_shard(folder / "test-00000.h5", [numbered(tiny, 0) | {"spec": specs[0]}])
+    train = [numbered(tiny, 1 + i) | {"spec": spec} for i, spec in enumerate(specs)]
+    write_shard(folder / "train-00000.h5", train)
+    rule = {"samples": {k: RULE[k] for k in ("day_spp", "night_spp", "features_spp")}}
+    config = {"rig": {"pairs": PAIRS.tolist()}, "spp": 2, **(rule if stated else {})}
+    write_manifest(folder, {"test-00000.h5": [0], "train-00000.h5": [1, 2]}, config=config,
+                   versions={"numpy": "2.0"} if stated else {})  # fmt: skip
+    assert failures(folder) == ({} if expected is None else {"settings": expected})
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_nights_are_held_to_their_own_rule(stated: bool) -> None:
+    """Which older sets do not state: then nights are alike."""
+    known = {k: str(v) for k, v in RULE.items() if stated or k != "night_spp"}
+    manifest = _Manifest([], set(), {}, {}, known)
+
+    def found(*night_spp: int) -> str:
+        each = [(False, 2), *((True, spp) for spp in night_spp)]
+        facts = [
+            _Facts(i, i, "train", np.zeros((3, 3)), night,
+                   {"spp": str(spp), "features_spp": "8", "max_depth": "4"}, {})
+            for i, (night, spp) in enumerate(each)
+        ]  # fmt: skip
+        return _check_settings(manifest, facts).detail
+
+    assert found(4, 4) == ""
+    assert found(2, 2) == ("samples.spp 2, expected 4: [1, 2]" if stated else "")
+    assert found(4, 4, 2) == "samples.spp 2, expected 4: [3]"
 
 
 def test_a_truncated_shard_is_found(folder: Path) -> None:
