@@ -498,13 +498,6 @@ def recipe_names() -> list[str]:
 
 
 def load_presets(kind: str, table: type[T], chosen: tuple[str, ...] = ()) -> dict[str, T]:
-<<<<<<< HEAD
-    """The presets of scenes/{daylight,weather}.toml; only the ``chosen`` ones if any are named."""
-    path = scenes_dir() / f"{kind}.toml"
-    presets = {k: checked(table, v, f"{path} [{k}]") for k, v in read_toml(path).items()}
-    if not presets:
-        raise UserError(f"{path}: holds no preset; expected tables like [name], each with share.")
-=======
     """Presets of daylight or weather.
 
     Those of scenes/{kind}.toml; only the ``chosen`` ones if any are named, and all of each TOML
@@ -512,7 +505,6 @@ def load_presets(kind: str, table: type[T], chosen: tuple[str, ...] = ()) -> dic
     """
     own = _presets_of(scenes_dir() / f"{kind}.toml", table)
     paths = [name for name in chosen if name.endswith(".toml")]
->>>>>>> manifest
     for name in chosen:
         if name not in own and not (name in paths and Path(name).is_file()):
             what = "no such file" if name in paths else "unknown"

@@ -14,15 +14,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from simgen import __version__, engine, given_map, progress, run
-<<<<<<< HEAD
 from simgen.config import Job, RenderOptions, draw_spec, resolve
+from simgen.daylight import night_share
 from simgen.errors import UserError
 from simgen.page import size_text
 from simgen.rig import drive_length
-=======
-from simgen.config import Job, RenderOptions, resolve
-from simgen.daylight import night_share
->>>>>>> manifest
 from simgen.schema import SCHEMA_VERSION
 from simgen.shards import Manifest
 from simgen.survey import read_log

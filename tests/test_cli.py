@@ -13,12 +13,8 @@ import pytest
 from test_config import _presets_file, _recipe_file
 
 from simgen import __main__ as cli
-<<<<<<< HEAD
 from simgen import doctor, rendering, run
-=======
-from simgen import rendering, run
 from simgen.config import RenderOptions, resolve
->>>>>>> manifest
 from simgen.errors import UserError
 from simgen.shards import ShardSet
 

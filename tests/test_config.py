@@ -261,7 +261,7 @@ def test_an_impossible_rig_is_refused(tmp_path, change, expected):
 
 
 @pytest.mark.parametrize("share, expected", [
-    (None, r"daylight\.toml: holds no preset; expected tables like \[name\], each with share"),
+    (None, r"daylight\.toml: no preset in it; expected a table \[NAME\] for each"),
     ("0", r"daylight\.toml: dawn, .* all have share = 0, so nothing can be drawn\. Give one"),
 ])  # fmt: skip
 def test_presets_of_which_nothing_can_be_drawn_are_refused(tmp_path, monkeypatch, share, expected):
