@@ -9,6 +9,7 @@ from simgen.facades import drawn_openings, drawn_style, wall_surface, walls_of
 from simgen.massing import KINDS
 from simgen.materials import MATERIALS
 from simgen.mesh import Model, Part
+from simgen.places import Places
 from simgen.roofs import convex_pieces, roof_surface
 from simgen.solids import boxes, inside_out
 
@@ -42,7 +43,9 @@ def massing(kind: str = "house", roof: str = "gabled", **changes: object) -> Mas
 
 
 def built(m: Massing, lod: int, seed: int = 0) -> Model:
-    return build(m, rng=np.random.default_rng(seed), lod=lod)  # type: ignore[arg-type]
+    places = Places(np.zeros((1, 2)), rng=np.random.default_rng(0))
+    rng = np.random.default_rng(seed)
+    return build(m, rng=rng, lod=lod, places=places)  # type: ignore[arg-type]
 
 
 def triangles(p: Part) -> Array:
@@ -187,7 +190,9 @@ def test_only_the_street_side_on_the_ground_has_a_door() -> None:
 
 
 def test_wall_materials_come_from_the_given_ones() -> None:
-    model = build(massing(), rng=np.random.default_rng(0), lod=0, walls=("wall_2",))
+    rng = np.random.default_rng(0)
+    places = Places(np.zeros((1, 2)), rng=rng)
+    model = build(massing(), rng=rng, lod=0, places=places, walls=("wall_2",))
     assert {p.material for p in model} & set(WALL_MATERIALS) == {"wall_2"}
 
 
