@@ -137,7 +137,8 @@ def repeated_share(recipe: str, number: int) -> tuple[int, float]:
             first += len(p.faces)
     for pairs in seen.values():
         uv, xyz = (np.concatenate(x) for x in zip(*pairs, strict=True))
-        total, again = total + len(uv), again + int(_elsewhere(uv, xyz).sum())
+        if len(uv):
+            total, again = total + len(uv), again + int(_elsewhere(uv, xyz).sum())
     return total, again / max(total, 1)
 
 
