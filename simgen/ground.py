@@ -561,7 +561,7 @@ class _Canvas:
         raised: Image | np.float32 = np.float32(_LID_SHARE)
         if self.texel.min() < _LID_SEEN_M:
             raised = self.mask([d[:2] + d[2] * ring for d in discs for ring in _LID])
-        iron = (0.045 + 0.15 * raised) * (1 + 0.1 * self.grain)
+        iron = (0.05 + 0.09 * raised) * (1 + 0.1 * self.grain)
         tone += (iron - tone) * share
         color += (1 - color) * _half(share)[..., None]
 
