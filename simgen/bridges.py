@@ -7,18 +7,19 @@ the left along the deck, z up from the road. ``ground`` takes (N, 2) of that fra
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simgen import vegetation
-from simgen.crossings import REACH_M, Crossing, Kind
+from simgen.crossings import REACH_M, Crossing
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed
-from simgen.mesh import Model, Part, loft, part, placed, quads_to_triangles, smooth
+from simgen.mesh import Model, Part, loft, merged, part, placed, quads_to_triangles, smooth
+from simgen.places import Place, Places
 from simgen.schema import LABELS
-from simgen.solids import boxes, sheeted, upright
+from simgen.solids import WORLD, Frame, rectangles, sheeted, upright
 from simgen.street_solids import (
     CONCRETE,
     STEEL,
@@ -54,7 +55,11 @@ def over_the_road(layout: Layout) -> Placed:
     def ground(xy: Array) -> Array:
         return layout.site.height(crossing.world(xy)) - crossing.origin[2]
 
-    for model in _BUILDERS[crossing.kind](crossing, ground, rng):
+    if crossing.kind == "rail":
+        models = _rail_bridge(_Brickwork(crossing, layout.places), rng)
+    else:
+        models = (_road_bridge if crossing.kind == "road" else _footbridge)(crossing, ground, rng)
+    for model in models:
         yield placed(model, xyz=crossing.origin, heading_rad=crossing.heading)
 
 
@@ -203,14 +208,24 @@ def _turf(vertices: Array, kept: NDArray[np.bool_], *, flipped: bool) -> Part:
     faces = quads_to_triangles(quads[:, ::-1] if flipped else quads)
     used, index = np.unique(faces, return_inverse=True)
     points = vertices.reshape(-1, 3)[used]
-    return smooth(part(points, index.reshape(-1, 3), "turf", TERRAIN, uv=points[:, :2]))
+    uv = _wandering(points[:, :2]) * (-1 if flipped else 1, 1)
+    return smooth(part(points, index.reshape(-1, 3), "turf", TERRAIN, uv=uv))
+
+
+def _wandering(xy: Array) -> Array:
+    """Points (N, 2) drawn out and pushed together by turns, by up to a quarter.
+
+    Where a sheet comes round again, it is another likeness of itself.
+    """
+    return xy + 1.5 * np.sin(2 * np.pi * xy[:, ::-1] / (37.0, 43.0))
 
 
 # --- a railway between walls ---------------------------------------------------------------------
 
 
-def _rail_bridge(crossing: Crossing, ground: Ground, rng: np.random.Generator) -> list[Model]:
+def _rail_bridge(brickwork: _Brickwork, rng: np.random.Generator) -> list[Model]:
     """Plate girders on brick abutments; the track goes on between retaining walls."""
+    crossing = brickwork.crossing
     color = np.array(PAINTS[rng.integers(len(PAINTS))])
     half, z = crossing.half_width_m, crossing.soffit_m
     middle, length = _span(crossing, 0.9)
@@ -220,8 +235,13 @@ def _rail_bridge(crossing: Crossing, ground: Ground, rng: np.random.Generator) -
     for y in np.arange(middle - length / 2 + 1.2, middle + length / 2, 2.4):
         parts.append(block((2 * half, 0.3, 0.25), (0, y, z + 0.2), color * 0.6, BRIDGE))
     for side, y in ((-1, -crossing.right_m), (1, crossing.left_m)):
-        parts += _abutment(side, y, half + 0.5, z, rng)
-    return [assembled(parts)]
+        parts += _abutment(side, y, half + 0.5, z, brickwork, rng)
+    return [[*_flat(parts), *assembled([p for p in parts if p.uv is None])]]
+
+
+def _flat(parts: list[Part]) -> Model:
+    """Those of a sheet, as one."""
+    return [merged([p for p in parts if p.uv is not None])]
 
 
 def _plate_girder(x: float, middle: float, length: float, z: float, color: Array, side: int,
@@ -240,7 +260,12 @@ def _plate_girder(x: float, middle: float, length: float, z: float, color: Array
 
 
 def _abutment(
-    side: int, y: float, half: float, soffit: float, rng: np.random.Generator
+    side: int,
+    y: float,
+    half: float,
+    soffit: float,
+    brickwork: _Brickwork,
+    rng: np.random.Generator,
 ) -> list[Part]:
     """The wall below the end of the deck and the retaining walls behind it, with copings."""
     top, far = soffit + 0.9, y + side * REACH_M
@@ -248,8 +273,8 @@ def _abutment(
     low, high = min(y, far), max(y, far)
     behind = sorted((y + side, far))
     parts = [
-        _bricked((-half, low, -DEEP_M), (half, high, soffit - 0.5)),
-        _bricked((-half, behind[0], soffit - 0.5), (half, behind[1], top)),
+        *brickwork.box((-half, low, -DEEP_M), (half, high, soffit - 0.5)),
+        *brickwork.box((-half, behind[0], soffit - 0.5), (half, behind[1], top)),
         block((2 * half + 0.1, 1.1, 0.5), (0, y + 0.5 * side, soffit - 0.25), stone, BRIDGE),
     ]
     middle, length = sum(behind) / 2, behind[1] - behind[0]
@@ -259,16 +284,47 @@ def _abutment(
         parts += _railing(ends[0], ends[1], np.array(STEEL) * 0.6, 1.5)
         for at in np.arange(behind[0] + 0.6, behind[1], 7.0):
             pilaster = (x - 0.2, at - 0.5, -DEEP_M), (x + 0.2, at + 0.5, top - 0.06)
-            parts.append(_bricked(*pilaster))
+            parts += brickwork.box(*pilaster)
     return parts
 
 
-def _bricked(low: ArrayLike, high: ArrayLike) -> Part:
-    """A box between two corners, of the scene's brick."""
-    facing = upright((0, 0, 0), (0, -1))
-    a, b = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    quads = boxes([a[0], a[2], -b[1]], [b[0], b[2], -a[1]])
-    return replace(sheeted(facing, quads, "wall_0", (0.0, 0.0)), semantic=BRIDGE)
+SECTION_M = 7.0
+"""between the pilasters of a retaining wall"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Brickwork:
+    """Walls of the scene's brick at a crossing, each section at its own place of the sheet."""
+
+    crossing: Crossing
+    places: Places
+
+    def box(self, low: ArrayLike, high: ArrayLike) -> list[Part]:
+        """The four sides and the top of a box between two corners, in the crossing's frame."""
+        a, b = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        top = rectangles([a[0], a[1], b[0], b[1]], b[2])
+        sides = [self._side(a, b, np.array(out)) for out in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        return [replace(p, semantic=BRIDGE) for p in
+                (*sides, sheeted(WORLD, top, "wall_0", top[..., :2]))]  # fmt: skip
+
+    def _side(self, a: Array, b: Array, out: Array) -> Part:
+        """The side that faces ``out`` (2,), in sections as long as from pilaster to pilaster."""
+        right = np.array([-out[1], out[0]])
+        half = np.abs(b - a)[:2] / 2
+        length = 2 * float(np.abs(right) @ half)
+        corner = (a + b)[:2] / 2 + out * half - right * length / 2
+        x = np.linspace(0, length, max(round(length / SECTION_M), 1) + 1)
+        rects = np.column_stack([x[:-1], 0 * x[1:] + a[2], x[1:], 0 * x[1:] + b[2]])
+        frame = upright([*corner, 0.0], out)
+        quads = rectangles(rects, 0.0)
+        uv = [self._place(frame, r).uv(q[:, :2]) for r, q in zip(rects, quads, strict=True)]
+        return sheeted(frame, quads, "wall_0", np.array(uv))
+
+    def _place(self, frame: Frame, rect: Array) -> Place:
+        at = self.crossing.world(frame.origin[None, :2])[0]
+        out = self.crossing.world(frame.axes[None, 2, :2])[0] - self.crossing.origin[:2]
+        seen = upright([*at, self.crossing.origin[2]], out)
+        return self.places.take("wall_0", seen, rect, phase=0)
 
 
 # --- people on stairs ----------------------------------------------------------------------------
@@ -330,10 +386,3 @@ def _stringer(a: ArrayLike, b: ArrayLike, color: Array) -> Part:
     rings = [np.stack([p - across, p + across, p + across - down, p - across - down])
              for p in (np.asarray(a), np.asarray(b))]  # fmt: skip
     return part(*loft(rings), "paint", BRIDGE, color=color)
-
-
-_BUILDERS: dict[Kind, Callable[[Crossing, Ground, np.random.Generator], list[Model]]] = {
-    "road": _road_bridge,
-    "rail": _rail_bridge,
-    "foot": _footbridge,
-}

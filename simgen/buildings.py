@@ -17,11 +17,22 @@ from typing import Literal
 
 import numpy as np
 
-from simgen.facades import Wall, drawn_openings, drawn_style, plain_surface, wall_surface, walls_of
+from simgen.facades import (
+    Wall,
+    drawn_openings,
+    drawn_style,
+    joints,
+    panelled,
+    plain_surface,
+    wall_surface,
+    walls_of,
+)
 from simgen.fittings import detailed_openings, far_openings, flat_openings
 from simgen.massing import KINDS, Massing
 from simgen.mesh import Model, Part, merged
-from simgen.roofing import flat_roof, pitched_roof
+from simgen.places import Places
+from simgen.roofing import flat_roof, gable_profile, pitched_roof
+from simgen.roofs import roof_surface
 from simgen.signs import Rect
 
 __all__ = ["MAX_FAR_TRIANGLES", "WALL_MATERIALS", "Massing", "build"]
@@ -36,6 +47,7 @@ def build(
     *,
     rng: np.random.Generator,
     lod: Literal[0, 1, 2],
+    places: Places,
     walls: Sequence[str] = WALL_MATERIALS,
     shop_names: Sequence[Rect] = (),
 ) -> Model:
@@ -43,6 +55,7 @@ def build(
 
     Args:
         lod: level of detail, see the module's docstring.
+        places: where walls and roofs find theirs on the sheets of the scene.
         walls: wall materials to choose from; repeat a name to make it likelier.
         shop_names: cells of the sign atlas with what is written over shops.
     """
@@ -51,7 +64,11 @@ def build(
     kind = KINDS[massing.kind]
     style = drawn_style(kind, walls, rng=rng)
     parapet_m = rng.uniform(0.35, 0.9) if massing.roof == "flat" else 0.0
-    sides = walls_of(massing, kind, parapet_m)
+    roof = roof_surface(massing.footprint, massing.roof, massing.roof_height, massing.ridge_rad)
+    sides = [
+        panelled(wall, style, places, float(gable_profile(wall, roof)[1].max()))
+        for wall in walls_of(massing, kind, parapet_m)
+    ]
     layouts = [drawn_openings(wall, kind, style, rng=rng) for wall in sides]
     model: Model = []
     for wall, openings in zip(sides, layouts, strict=True):
@@ -64,17 +81,20 @@ def build(
         else:
             model.append(plain_surface(wall, style))
             model += far_openings(wall, openings, _max_panes(sides), rng=rng)
+        if lod < 2:
+            model += joints(wall, style)
     if massing.roof == "flat":
         model += flat_roof(massing, parapet_m, style, rng=rng, lod=lod)
     else:
-        model += pitched_roof(massing, sides, style, rng=rng, lod=lod)
+        model += pitched_roof(massing, roof, sides, style, places, rng=rng, lod=lod)
     return _by_material(model)
 
 
 def _max_panes(sides: Sequence[Wall]) -> int:
     """Panes per wall that MAX_FAR_TRIANGLES leaves after walls, gables and roof."""
     n = len(sides)
-    return max((MAX_FAR_TRIANGLES - 10 * n) // (2 * n), 1)
+    panels = sum((len(s.panels.x) - 1) * (len(s.panels.y) - 1) for s in sides)
+    return max((MAX_FAR_TRIANGLES - 8 * n - 2 * panels) // (2 * n), 1)
 
 
 def _by_material(model: Model) -> Model:

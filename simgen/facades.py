@@ -7,15 +7,17 @@ building, z out of the wall, metres. ``rects`` (M, 4) are left, bottom, right, t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simgen.massing import Kind, Massing
-from simgen.mesh import Part
-from simgen.solids import Frame, rectangles, sheeted, upright
+from simgen.mesh import Model, Part
+from simgen.places import CELLS_PER_RISE, Place, Places
+from simgen.solids import Frame, painted, rectangles, sheeted, slabs, unrolled, upright
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]
@@ -45,7 +47,8 @@ class Style:
 
     wall: str
     """material of the walls"""
-    uv_offset: tuple[float, float]
+    phase: int
+    """where the courses of all walls begin, see :mod:`simgen.places`"""
     pitch_m: float
     window_share: float
     window_height_m: float
@@ -77,10 +80,9 @@ def drawn_style(kind: Kind, walls: Sequence[str], *, rng: np.random.Generator) -
         return colors[rng.integers(len(colors))]
 
     share, pitch = rng.uniform(*kind.window_share), rng.uniform(*kind.pitch_m)
-    u, v = rng.uniform(0, 32, 2)
     return Style(
         wall=walls[int(rng.integers(len(walls)))],
-        uv_offset=(float(u), float(v)),
+        phase=int(rng.integers(CELLS_PER_RISE)),
         pitch_m=pitch,
         window_share=share,
         window_height_m=rng.uniform(*kind.window_height_m),
@@ -102,6 +104,45 @@ def drawn_style(kind: Kind, walls: Sequence[str], *, rng: np.random.Generator) -
 
 
 @dataclass(frozen=True, eq=False)
+class Panels:
+    """A wall's parts between joints, each with a place of its own on the sheet."""
+
+    x: Array
+    """(C + 1,) edges along the wall"""
+    y: Array
+    """(R + 1,) edges upwards"""
+    places: list[list[Place]]
+    """R rows of C"""
+
+    def cut(self, rects: Array) -> Array:
+        """Rectangles (M, 4), those that joints run through in pieces."""
+        for axis, joints in ((0, self.x[1:-1]), (1, self.y[1:-1])):
+            for joint in joints:
+                through = (rects[:, axis] < joint) & (joint < rects[:, axis + 2])
+                if through.any():
+                    first, second = rects.copy(), rects[through]
+                    first[through, axis + 2] = joint
+                    second[:, axis] = joint
+                    rects = np.concatenate([first, second])
+        return rects
+
+    def uv(self, quads: Array) -> Array:
+        """Sheet coordinates (Q, 4, 2) of quads (Q, 4, 3), each of which is in one panel."""
+        xy, middle = unrolled(quads), quads.mean(axis=1)
+        if len(self.x) == len(self.y) == 2:
+            return self.places[0][0].uv(xy)
+        column = np.searchsorted(self.x[1:-1], middle[:, 0])
+        row = np.searchsorted(self.y[1:-1], middle[:, 1])
+        for r, c in set(zip(row.tolist(), column.tolist(), strict=True)):
+            own = (row == r) & (column == c)
+            xy[own] = self.places[r][c].uv(xy[own])
+        return xy
+
+
+WHOLE = Panels(np.array([0.0, np.inf]), np.array([-np.inf, np.inf]), [[Place()]])
+
+
+@dataclass(frozen=True, eq=False)
 class Wall:
     """One side of a building."""
 
@@ -113,8 +154,7 @@ class Wall:
     on_ground: bool
     drained: bool
     """whether a downpipe from a flat roof runs down near its left end"""
-    uv_start: float
-    """metres of wall that come before this one"""
+    panels: Panels = WHOLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +176,6 @@ def walls_of(massing: Massing, kind: Kind, parapet_m: float) -> list[Wall]:
     ring = massing.footprint
     edges = np.roll(ring, -1, axis=0) - ring
     lengths = np.linalg.norm(edges, axis=1)
-    starts = np.cumsum(lengths) - lengths
     out = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
     along_front = np.abs(out @ out[massing.front]) > 0.7
     floors = _floors(massing, kind, parapet_m)
@@ -148,7 +187,6 @@ def walls_of(massing: Massing, kind: Kind, parapet_m: float) -> list[Wall]:
             side="front" if i == massing.front else "back" if along_front[i] else "side",
             on_ground=massing.on_ground,
             drained=massing.roof == "flat" and massing.on_ground and bool(along_front[i]),
-            uv_start=float(starts[i]),
         )
         for i in range(len(ring))
     ]
@@ -163,9 +201,60 @@ def _floors(massing: Massing, kind: Kind, parapet_m: float) -> Array:
     return np.concatenate([[0.0], floors]) if ground else floors
 
 
+PANEL_M = 12.0
+"""A longer wall has joints between its bays about that far apart."""
+STACK_M = 14.0
+"""A higher one has bands at its floors about that far apart."""
+
+
+def panelled(wall: Wall, style: Style, places: Places, gable_m: float = 0.0) -> Wall:
+    """The wall cut into panels, each at a place of its own; a gable belongs to the uppermost."""
+    bays = np.linspace(0, wall.length_m, max(_num_bays(wall, style), 1) + 1)
+    x = _joints(bays, PANEL_M)
+    y = _joints(wall.floors, STACK_M)
+    low, high = y.copy(), y.copy()
+    low[0] -= BELOW_GROUND_M
+    high[-1] += gable_m
+    taken = [
+        [
+            places.take(style.wall, wall.frame, (left, bottom, right, top), phase=style.phase)
+            for left, right in pairwise(x)
+        ]
+        for bottom, top in zip(low, high[1:], strict=False)
+    ]
+    return replace(wall, panels=Panels(x, y, taken))
+
+
+def _joints(edges: Array, spacing_m: float) -> Array:
+    """Those of the edges (M,) that come next to equal parts of about a length, and both ends."""
+    length = edges[-1] - edges[0]
+    parts = max(int(np.ceil(length / spacing_m - 0.25)), 1)
+    wanted = edges[0] + length * np.arange(1, parts) / parts
+    inner = edges[1:-1]
+    nearest = [int(np.argmin(np.abs(inner - at))) for at in wanted] if len(inner) else []
+    return np.concatenate([edges[:1], inner[np.unique(np.array(nearest, int))], edges[-1:]])
+
+
+def _num_bays(wall: Wall, style: Style) -> int:
+    return int((wall.length_m - 0.4) / style.pitch_m) or int(wall.length_m > 2.0)
+
+
+def joints(wall: Wall, style: Style) -> Model:
+    """Cover strips over the joints between panels, and bands of stone at their floors."""
+    x, y, top = wall.panels.x[1:-1], wall.panels.y[1:-1], wall.floors[-1]
+    model: Model = []
+    if len(x):
+        strips = np.column_stack([x - 0.02, 0 * x - BELOW_GROUND_M, x + 0.02, 0 * x + top])
+        model.append(painted(wall.frame, rectangles(strips, 0.003), 0.5 * np.array(style.trim)))
+    if len(y):
+        bands = np.column_stack([0 * y, y - 0.2, 0 * y + wall.length_m, y + 0.02])
+        model.append(painted(wall.frame, slabs(bands, 0.0, 0.05), style.trim))
+    return model
+
+
 def drawn_openings(wall: Wall, kind: Kind, style: Style, *, rng: np.random.Generator) -> Openings:
     """Divides a wall into bays and storeys and draws what is in each."""
-    num_bays = int((wall.length_m - 0.4) / style.pitch_m) or int(wall.length_m > 2.0)
+    num_bays = _num_bays(wall, style)
     num_storeys = len(wall.floors) - 1
     bay = wall.length_m / max(num_bays, 1)
     bays = np.arange(num_bays)
@@ -236,17 +325,16 @@ def wall_surface(wall: Wall, style: Style, openings: Openings) -> Part:
         rects += [(left, low, right, high) for left, right in edges]
         rects += [(left, low, right, bottom) for left, bottom, right, _ in holes]
         rects += [(left, top, right, high) for left, _, right, top in holes]
-    solid = [r for r in rects if r[2] > r[0] and r[3] > r[1]]
-    return wall_sheeted(wall, style, rectangles(solid, 0.0))
+    solid = np.array([r for r in rects if r[2] > r[0] and r[3] > r[1]]).reshape(-1, 4)
+    return wall_sheeted(wall, style, rectangles(wall.panels.cut(solid), 0.0))
 
 
 def plain_surface(wall: Wall, style: Style) -> Part:
     """The wall without any opening."""
-    rect = (0.0, -BELOW_GROUND_M, wall.length_m, wall.floors[-1])
-    return wall_sheeted(wall, style, rectangles(rect, 0.0))
+    rect = np.array([[0.0, -BELOW_GROUND_M, wall.length_m, wall.floors[-1]]])
+    return wall_sheeted(wall, style, rectangles(wall.panels.cut(rect), 0.0))
 
 
 def wall_sheeted(wall: Wall, style: Style, quads: Array) -> Part:
-    """Quads of a wall with the building's wall sheet."""
-    u, v = style.uv_offset
-    return sheeted(wall.frame, quads, style.wall, (u + wall.uv_start, v))
+    """Quads of a wall, each within one of its panels, with the building's wall sheet."""
+    return sheeted(wall.frame, quads, style.wall, wall.panels.uv(quads))

@@ -555,13 +555,38 @@ class _Canvas:
             color += (np.array(rgb, np.float32) - color) * _half(share)[..., None]
 
     def cover(self, tone: Image, color: Image, discs: Array) -> None:
-        """Manhole covers: a dark rim and a cast lid."""
-        for scale, level in ((1.0, 0.05), (0.86, 0.125)):
-            share = self.mask(_discs(discs * [1, 1, scale])) * np.float32(0.9)
-            if not share.any():
-                return
-            tone += (level * (1 + 0.35 * self.grain) - tone) * share
-            color += (1 - color) * _half(share)[..., None]
+        """Manhole covers: dirt in the hollows of a cast lid, iron where tyres polish its bars."""
+        share = self.mask(_discs(discs)) * np.float32(0.95)
+        if not share.any():
+            return
+        raised: Image | np.float32 = np.float32(_LID_SHARE)
+        if self.texel.min() < _LID_SEEN_M:
+            raised = self.mask([d[:2] + d[2] * ring for d in discs for ring in _LID])
+        iron = (0.05 + 0.09 * raised) * (1 + 0.1 * self.grain)
+        tone += (iron - tone) * share
+        color += (1 - color) * _half(share)[..., None]
+
+
+def _lid() -> list[Array]:
+    """Outlines of what stands out on a lid of radius 1: a frame, a ring, and three rows of bars."""
+
+    def arc(radius: float, start: float, end: float, num: int) -> Array:
+        angle = np.linspace(start, end, num)
+        return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    rings = [arc(r, 0, 2 * np.pi, 25)[:-1] for r in (0.99, 0.9, 0.18, 0.07)]
+    for inner, outer, num in ((0.26, 0.43, 8), (0.48, 0.63, 14), (0.68, 0.83, 20)):
+        for start in np.arange(num) * 2 * np.pi / num:
+            end = start + np.pi / num
+            rings.append(np.concatenate([arc(inner, start, end, 3), arc(outer, end, start, 3)]))
+    return rings
+
+
+_LID = _lid()
+_LID_SHARE = 0.45
+"""of a lid that stands out"""
+_LID_SEEN_M = 0.05
+"""Texels from this size on hold several bars."""
 
 
 def _discs(discs: Array) -> list[Array]:

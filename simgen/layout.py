@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from simgen.crossings import Crossing
 from simgen.geometry import Array
 from simgen.mesh import Model, placed
+from simgen.places import Places
 from simgen.recipe import SceneSpec
 from simgen.roads import Lane, at_station, offset_line, stations
 from simgen.schema import LABELS
@@ -99,6 +100,9 @@ class Layout:
         self.tree_triangles = 0
         """of trees that are individuals, so far"""
         self.crossing = crossing
+        blocks = [m for masses in site.network.buildings for m in masses]
+        self.places = Places(way, blocks, rng=spec.stream("sheet places"))
+        """of walls and roofs on their sheets"""
 
     def distance(self, xy: ArrayLike) -> Array:
         """From points (N, 2) to the rig where it comes nearest to them [m]."""

@@ -6,7 +6,7 @@ town and 6 m outside, stop lines 0.5 m, zebra bars 0.5 m with gaps of 0.5 m.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,9 +47,9 @@ def paint(network: Network, road: RoadSpec, *, rng: np.random.Generator) -> list
     patches: list[Paint] = []
     for name in sorted({lane.road for lane in lanes}):
         mine = [lane for lane in lanes if lane.road == name]
-        patches += _lines(mine, road)
-        patches += _bays(mine)
         ends = [j for j in network.junctions if _near_end(mine, j)]
+        patches += _lines(mine, road, ends)
+        patches += _bays(mine, road, ends)
         if road.kind == "town":
             patches += [p for j in ends for p in _crossing(mine, j, rng=rng)]
         patches += [p for j in ends for p in _stop_lines(mine, j, road)]
@@ -100,20 +100,33 @@ def _zebra(outline: Array) -> Iterator[Paint]:
 # --- lines along the road ------------------------------------------------------------------------
 
 
-def _lines(lanes: list[Lane], road: RoadSpec) -> Iterator[Paint]:
+def _open_span(lane: Lane, road: RoadSpec, junctions: Sequence[Array]) -> tuple[float, float]:
+    """Where its lines begin and end [m]: short of the stop lines and zebras at junctions."""
+    short = _setback(road) + 0.2
+    near = [min((float(np.linalg.norm(end[:2] - j[:2])) for j in junctions), default=np.inf)
+            < _NEAR_JUNCTION_M for end in lane.centre[[0, -1]]]  # fmt: skip
+    return short * near[0], float(stations(lane.centre)[-1]) - short * near[1]
+
+
+def _setback(road: RoadSpec) -> float:
+    """From the end of a lane back to its stop line [m]."""
+    return 4.8 if road.kind == "town" else 1.0
+
+
+def _lines(lanes: list[Lane], road: RoadSpec, junctions: Sequence[Array]) -> Iterator[Paint]:
     outer = {side: max((x.rank for x in lanes if x.kind == "driving" and x.side == side), default=0)
              for side in ("left", "right")}  # fmt: skip
     for lane in lanes:
         if lane.kind != "driving":
             continue
-        half = lane.width / 2
+        half, span = lane.width / 2, _open_span(lane, road, junctions)
         innermost = lane.rank == (1 if road.kind == "motorway" else 0)
         if innermost and road.kind == "motorway":
-            yield from _line(lane, half - 0.15, 0.2, None)
+            yield from _line(lane, half - 0.15, 0.2, None, *span)
         elif innermost and lane.side == "right":
-            yield from _centre_line(lane, half, road)
+            yield from _centre_line(lane, half, road, *span)
         elif not innermost:
-            yield from _line(lane, half, 0.13, _dash(road))
+            yield from _line(lane, half, 0.13, _dash(road), *span)
         if lane.rank == outer[lane.side] and not _has_parking(lanes, lane.side):
             if road.kind != "town":
                 yield from _line(lane, -half + 0.15, 0.15 if road.kind == "rural" else 0.3, None)
@@ -121,16 +134,18 @@ def _lines(lanes: list[Lane], road: RoadSpec) -> Iterator[Paint]:
                 yield from _line(lane, -half + 0.1, 0.12, None)
 
 
-def _centre_line(lane: Lane, offset: float, road: RoadSpec) -> Iterator[Paint]:
-    length = stations(lane.centre)[-1]
+def _centre_line(
+    lane: Lane, offset: float, road: RoadSpec, start_m: float, end_m: float
+) -> Iterator[Paint]:
     solid_m = 22.0 if road.junction != "none" and road.kind == "town" else 0.0
     if road.lanes > 1 and road.kind == "town":
-        yield from _line(lane, offset - 0.12, 0.11, None)
-        yield from _line(lane, offset + 0.12, 0.11, None)
+        yield from _line(lane, offset - 0.12, 0.11, None, start_m, end_m)
+        yield from _line(lane, offset + 0.12, 0.11, None, start_m, end_m)
         return
-    yield from _line(lane, offset, 0.12, _dash(road), end_m=length - solid_m)
-    if solid_m and length > solid_m:
-        yield from _line(lane, offset, 0.12, None, start_m=length - solid_m)
+    solid_from = max(end_m - solid_m, start_m)
+    yield from _line(lane, offset, 0.12, _dash(road), start_m, solid_from)
+    if solid_m:
+        yield from _line(lane, offset, 0.12, None, solid_from, end_m)
 
 
 def _dash(road: RoadSpec) -> tuple[float, float]:
@@ -162,13 +177,14 @@ def _has_parking(lanes: Iterable[Lane], side: str) -> bool:
     return any(x.kind == "parking" and x.side == side for x in lanes)
 
 
-def _bays(lanes: list[Lane]) -> Iterator[Paint]:
+def _bays(lanes: list[Lane], road: RoadSpec, junctions: Sequence[Array]) -> Iterator[Paint]:
     """The inner edge of a parking lane, and a tick between bays."""
     for lane in lanes:
         if lane.kind != "parking":
             continue
-        yield from _line(lane, lane.width / 2, 0.1, (1.0, 1.0))
-        for s in np.arange(3.0, stations(lane.centre)[-1] - 3.0, BAY_M):
+        start, end = _open_span(lane, road, junctions)
+        yield from _line(lane, lane.width / 2, 0.1, (1.0, 1.0), start, end)
+        for s in np.arange(max(start, 3.0), min(end, stations(lane.centre)[-1] - 3.0), BAY_M):
             point, heading = at_station(lane.centre, float(s))
             yield _bar(point, float(heading) + np.pi / 2, lane.width * 0.9, 0.1)
 
@@ -225,7 +241,7 @@ CROSSING_SETBACK_M = 2.2
 
 
 def _stop_lines(lanes: list[Lane], junction: Array, road: RoadSpec) -> Iterator[Paint]:
-    setback = 4.8 if road.kind == "town" else 1.0
+    setback = _setback(road)
     gives_way = lanes[0].road.startswith("road/side")
     for lane in lanes:
         if lane.kind != "driving" or not _arrives(lane, junction):

@@ -11,6 +11,7 @@ from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model, placed
 from simgen.roads import offset_line, resampled
+from simgen.sheets import BARK_M
 
 
 def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, float],
@@ -34,7 +35,15 @@ def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, fl
         model = vegetation.tree(species, height_m=height, lod=lod, rng=rng, clear_m=clear_m)
     else:
         model = _far_tree(layout, species, height, rng)
+    model = _own_bark(model, rng)
     return sunk(layout.stand(model, xy, float(rng.uniform(0, 2 * np.pi))), SUNK_M)
+
+
+def _own_bark(model: Model, rng: np.random.Generator) -> Model:
+    """The model with its bark from elsewhere on the sheet, mirrored or not."""
+    offset, side = rng.uniform(0, BARK_M, 2), (rng.choice([-1.0, 1.0]), 1.0)
+    return [p if p.uv is None else replace(p, uv=(p.uv * side + offset).astype(np.float32))
+            for p in model]  # fmt: skip
 
 
 SUNK_M = 0.08

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from simgen.facades import BELOW_GROUND_M, Color, Style, Wall, wall_sheeted
 from simgen.massing import Massing
 from simgen.mesh import Model, Part, part, tube
-from simgen.roofs import RoofSurface, convex_pieces, roof_surface
+from simgen.places import Places
+from simgen.roofs import RoofSurface, convex_pieces
 from simgen.schema import LABELS
+from simgen.sheets import WALL_M
 from simgen.solids import (
     WORLD,
     Frame,
@@ -24,6 +26,7 @@ from simgen.solids import (
     rectangles,
     sheeted,
     slabs,
+    upright,
 )
 
 Array = NDArray[np.float64]
@@ -92,36 +95,50 @@ def _plan_frame(ring: Array, centre: Array, z: float) -> Frame:
 
 
 def pitched_roof(
-    massing: Massing, sides: list[Wall], style: Style, *, rng: np.random.Generator, lod: int
+    massing: Massing,
+    roof: RoofSurface,
+    sides: list[Wall],
+    style: Style,
+    places: Places,
+    *,
+    rng: np.random.Generator,
+    lod: int,
 ) -> Model:
     """Gables, the roof itself, and at close range its edges, ridges, gutters and openings."""
-    roof = roof_surface(massing.footprint, massing.roof, massing.roof_height, massing.ridge_rad)
     eaves_z = massing.base_z + massing.wall_height
     overhang = rng.uniform(0.15, 0.25) if massing.kind == "terrace" else rng.uniform(0.25, 0.55)
     ring = offset_ring(massing.footprint, overhang)
-    u, v = (float(o) for o in rng.uniform(0, 32, 2))
     top_z = eaves_z + (0.5 * _SLAB_M if lod < 2 else 0.01)  # far roofs have no edge to hide a gap
     model = [_gable(wall, roof, style) for wall in sides]
-    model += _covering(roof, ring, top_z, (u, v), metal=massing.roof == "skillion")
+    model += _covering(roof, ring, top_z, places, metal=massing.roof == "skillion")
     if lod < 2:
         model += [p for wall in sides for p in _attic_window(wall, roof, style)]
-        model += _chimneys(massing, roof, style, rng)
+        model += _chimneys(massing, roof, style, places, rng)
         model += _edges(roof.outline(ring), eaves_z, style)
     if lod == 0:
-        model += [_ridge(raised(line, top_z), u) for line in roof.ridges(ring)]
+        model += [
+            _ridge(raised(line, top_z), rng.uniform(0, WALL_M, 2)) for line in roof.ridges(ring)
+        ]
         model += _gutters(roof.outline(ring), massing, eaves_z, style, overhang)
         model += _roof_openings(massing, roof, top_z, rng)
     return model
 
 
+def gable_profile(wall: Wall, roof: RoofSurface) -> tuple[Array, Array]:
+    """Shares (M,) of a wall's length, and heights (M,) of the roof above it there."""
+    start = wall.frame.origin[:2]
+    return roof.profile(start, start + wall.length_m * wall.frame.axes[0, :2])
+
+
 def _gable(wall: Wall, roof: RoofSurface, style: Style) -> Part:
     """The piece of wall between its level top and the roof."""
-    start = wall.frame.origin[:2]
-    t, h = roof.profile(start, start + wall.length_m * wall.frame.axes[0, :2])
-    x, y = t * wall.length_m, wall.floors[-1] + h
+    t, h = gable_profile(wall, roof)
+    x = np.union1d(t * wall.length_m, wall.panels.x[1:-1])
+    h = np.interp(x, t * wall.length_m, h)
+    y = wall.floors[-1] + h
     low = np.full_like(y, wall.floors[-1])
     corners = [(x[:-1], low[:-1]), (x[1:], low[1:]), (x[1:], y[1:]), (x[:-1], y[:-1])]
-    quads = np.stack([np.column_stack([*xy, np.zeros(len(t) - 1)]) for xy in corners], axis=1)
+    quads = np.stack([np.column_stack([*xy, np.zeros(len(x) - 1)]) for xy in corners], axis=1)
     return wall_sheeted(wall, style, quads[(h[:-1] > 1e-3) | (h[1:] > 1e-3)])
 
 
@@ -138,21 +155,21 @@ def _attic_window(wall: Wall, roof: RoofSurface, style: Style) -> Model:
     ]
 
 
-def _covering(
-    roof: RoofSurface, ring: Array, z: float, uv_offset: tuple[float, float], metal: bool
-) -> Model:
+def _covering(roof: RoofSurface, ring: Array, z: float, places: Places, metal: bool) -> Model:
     """The upper side of the roof: sheet metal, or tiles in rows along the eaves."""
     model = []
     for k, polygons in enumerate(roof.faces(ring)):
         frame = roof.frame(k, z)
-        for polygon in polygons:
-            vertices = np.column_stack([polygon, roof.height(polygon) + z])
-            uv = ((vertices - frame.origin) @ frame.axes.T)[:, :2] + uv_offset
-            mesh = (vertices, _fan(len(polygon)))
-            if metal:
-                model.append(part(*mesh, "metal", LABELS["building"], color=_LEAD))
-            else:
-                model.append(part(*mesh, "roof", LABELS["building"], uv=uv))
+        meshes = [(np.column_stack([p, roof.height(p) + z]), _fan(len(p))) for p in polygons]
+        if metal:
+            model += [part(*m, "metal", LABELS["building"], color=_LEAD) for m in meshes]
+        elif meshes:
+            flat = [((vertices - frame.origin) @ frame.axes.T)[:, :2] for vertices, _ in meshes]
+            corners = np.concatenate(flat)
+            rect = [*corners.min(axis=0), *corners.max(axis=0)]
+            place = places.take("roof", frame, rect)
+            model += [part(*m, "roof", LABELS["building"], uv=place.uv(xy))
+                      for m, xy in zip(meshes, flat, strict=True)]  # fmt: skip
     return model
 
 
@@ -168,12 +185,12 @@ def _edges(outline: Array, eaves_z: float, style: Style) -> Model:
     ]
 
 
-def _ridge(line: Array, u: float) -> Part:
+def _ridge(line: Array, uv_offset: Array) -> Part:
     """Ridge tiles along a line (2, 3)."""
     vertices, faces = tube(raised(line, 0.02), 0.1, sides=6, caps=False)
     along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
     v = np.tile(np.arange(6) * 0.1, 2)
-    uv = np.column_stack([v + u, (vertices - line[0]) @ along])
+    uv = np.column_stack([v, (vertices - line[0]) @ along]) + uv_offset
     return part(vertices, faces, "roof", LABELS["building"], uv=uv)
 
 
@@ -199,7 +216,9 @@ def _gutters(
     return model
 
 
-def _chimneys(massing: Massing, roof: RoofSurface, style: Style, rng: np.random.Generator) -> Model:
+def _chimneys(
+    massing: Massing, roof: RoofSurface, style: Style, places: Places, rng: np.random.Generator
+) -> Model:
     """Stacks near the ridge, with a cap and pots, on dwellings."""
     if massing.kind not in ("house", "terrace") or rng.random() < 0.25:
         return []
@@ -214,13 +233,16 @@ def _chimneys(massing: Massing, roof: RoofSurface, style: Style, rng: np.random.
     half = np.array([rng.uniform(0.3, 0.55), rng.uniform(0.22, 0.32)])
     stack = boxes([*-half, low], [*half, top], "xXyY")
     cap = boxes([*(-half - 0.05), top - 0.05], [*(half + 0.05), top + 0.07])
-    u, v = style.uv_offset
+    uv = np.stack([stack[..., 0] + stack[..., 1], stack[..., 2]], axis=-1)
+    girth = half.sum()
+    side = upright(frame.origin, -frame.axes[1, :2])
+    place = places.take(style.wall, side, (-girth, low, girth, top), phase=style.phase)
     pots = [
         tube(frame.world(np.array([[x, 0, top], [x, 0, top + 0.35]])), 0.1, sides=8)
         for x in np.linspace(-0.6, 0.6, rng.integers(1, 4)) * half[0]
     ]
     return [
-        sheeted(frame, stack, style.wall, (u, v)),
+        sheeted(frame, stack, style.wall, place.uv(uv)),
         painted(frame, cap, (0.3, 0.29, 0.27)),
         *(part(*pot, "matte", LABELS["building"], color=_CLAY) for pot in pots),
     ]

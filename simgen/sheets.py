@@ -22,6 +22,13 @@ from simgen.mesh import blocks
 Field = NDArray[np.float32]  # (N, N), one value per pixel
 Layer = tuple[Field, ArrayLike]  # (N, N) coverage in 0..1, and the sRGB 0..255 that covers
 
+WALL_M = 32.0
+"""Side of a wall's sheet."""
+BARK_M = 4.0
+RISE_M = 3.2
+"""The heights of a wall's courses repeat after so much, their blocks do not: whole rises apart, two
+places of a sheet continue each other's courses."""
+
 _STEPS = (1 << 16) - 1  # of linear light in 16 bits: half a step is 1/40 of a dark byte's
 _LINEAR_OF_BYTE = np.rint(_STEPS * linear_from_srgb(np.arange(256) / 255)).astype(np.uint16)
 _BYTE_OF_LINEAR = np.rint(255 * srgb_from_linear(np.arange(_STEPS + 1) / _STEPS)).astype(np.uint8)
@@ -43,7 +50,7 @@ def wall_sheet(
     *,
     rng: np.random.Generator,
     size_px: int = 2048,
-    metres: float = 32.0,
+    metres: float = WALL_M,
 ) -> Sheet:
     """Draws a wall: "brick", "plaster", "concrete", "stone" or "timber".
 
@@ -62,7 +69,7 @@ def roof_sheet(*, rng: np.random.Generator, size_px: int = 2048, metres: float =
     return _tiles(_Canvas(size_px, metres, rng), *_ROOFS[rng.integers(len(_ROOFS))])
 
 
-def bark_sheet(*, rng: np.random.Generator, size_px: int = 512, metres: float = 2.0) -> Sheet:
+def bark_sheet(*, rng: np.random.Generator, size_px: int = 1024, metres: float = BARK_M) -> Sheet:
     """Draws bark: plates between furrows that run along v, lichen."""
     canvas = _Canvas(size_px, metres, rng)
     furrow = 1 - np.abs(canvas.noise(wave_m=(0.06, 0.5), octaves=4))
@@ -257,10 +264,13 @@ def _courses(
     ``bond`` is a share of the block width; None shifts each course at random.
     """
     rng, n = canvas.rng, canvas.size
-    num_courses = 2 * max(round(canvas.metres / sum(height_m)), 1)  # even, so that bonds close
+    rises = 2 * max(round(canvas.metres / (2 * RISE_M)), 1)  # even, so that bonds close
+    per_rise = max(round(2 * canvas.metres / rises / sum(height_m)), 1)
+    num_courses = rises * per_rise
     per_course = max(round(2 * canvas.metres / sum(width_m)), 1)
     position = (np.arange(n) + 0.5) * canvas.pixel_m
-    bottom = _partition(rng.uniform(*height_m, (1, num_courses)), canvas.metres)[0]
+    heights = np.tile(rng.uniform(*height_m, (1, per_rise)), rises)
+    bottom = _partition(heights, canvas.metres)[0]
     row = np.searchsorted(bottom, position, side="right") - 1
     rise = position - bottom[row]
     bed = np.minimum(rise, bottom[row + 1] - position)
@@ -379,13 +389,14 @@ def _timber(canvas: _Canvas, color: NDArray[np.float64]) -> Sheet:
 
 
 def _tiles(canvas: _Canvas, color: NDArray[np.float64], width_m: float, roll: float) -> Sheet:
-    """Rows of tiles, 0.28 m apart; ``roll`` is the depth of shading across a curved tile."""
-    courses = _courses(canvas, (0.28, 0.28), (width_m, width_m), bond=0.0 if roll else 0.5)
+    """Rows of tiles, 0.29 m apart; ``roll`` is the depth of shading across a curved tile."""
+    bond = 0.0 if roll else 0.5
+    courses = _courses(canvas, (0.29, 0.29), (width_m, width_m), bond)
     base = courses.tinted(color, light=0.1, hue=0.015)
     shade = 1 + 0.05 * canvas.noise(2.0, octaves=6) + 0.06 * canvas.grain()
     across = 1 - roll * (1 - 2 * courses.perpend / width_m) ** 2
     shade *= across[courses.row]
-    nose = np.exp(-(0.28 - courses.rise) / 0.025)[:, None]  # shadow below the next row's edge
+    nose = np.exp(-(0.291 - courses.rise) / 0.025)[:, None]  # shadow below the next row's edge
     moss = canvas.rng.uniform(0.1, 0.6) * canvas.spots(1.0, share=0.15)
     soot = canvas.rng.uniform(0.1, 0.4) * canvas.spots((1.0, 6.0), share=0.5, sharpness=0.5)
     return canvas.sheet(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -54,8 +53,8 @@ def _name(frame: Frame, board: Array, cell: Rect) -> Part:
     half = np.array([width, width / NAME_ASPECT]) / 2
     quad = rectangles([*(middle - half), *(middle + half)], 0.13)
     u0, v0, u1, v1 = cell
-    uv = np.array([(u0, v1), (u1, v1), (u1, v0), (u0, v0)], dtype=np.float32)
-    return replace(sheeted(frame, quad, "sign", (0.0, 0.0)), uv=uv)
+    uv = np.array([[(u0, v1), (u1, v1), (u1, v0), (u0, v0)]])
+    return sheeted(frame, quad, "sign", uv)
 
 
 def _awning(

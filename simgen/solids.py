@@ -101,12 +101,19 @@ def pipe(points: Array, radius: float, color: ArrayLike) -> Part:
     return part(vertices, faces, "metal", LABELS["building"], color=color)
 
 
-def sheeted(frame: Frame, quads: Array, material: str, uv_offset: ArrayLike) -> Part:
-    """A part of building with metres on the surface as uv: local (x, y) on sides that face z."""
-    normal = np.abs(cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]))
-    axes = np.array([[2, 1], [0, 2], [0, 1]])[np.argmax(normal, axis=1)]  # (Q, 2)
-    uv = np.take_along_axis(quads, axes[:, None, :], axis=2) + np.asarray(uv_offset)
+def sheeted(frame: Frame, quads: Array, material: str, uv: Array) -> Part:
+    """A part of building with metres on its sheet (Q, 4, 2) as uv."""
     return part(*_mesh(frame, quads), material, LABELS["building"], uv=uv)
+
+
+def unrolled(quads: Array) -> Array:
+    """(Q, 4, 2) metres along a wall and up, which go on where its face turns inwards."""
+    normal = np.abs(cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]))
+    xy = quads[..., :2].copy()
+    for axis in (0, 1):
+        turned = np.argmax(normal, axis=1) == axis
+        xy[turned, :, axis] += quads[turned, :, 2]
+    return xy
 
 
 def _mesh(frame: Frame, quads: Array) -> tuple[Array, NDArray[np.int64]]:

@@ -7,7 +7,9 @@ import numpy as np
 from simgen import background, buildings
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed
+from simgen.massing import Massing
 from simgen.mesh import Model, placed
+from simgen.signs import Rect
 
 FAR_CENTRE = np.array([150.0, 0.0])
 FAR_INNER_M = 400.0
@@ -18,19 +20,35 @@ FAR_OUTER_M = 3000.0
 def houses(layout: Layout) -> Placed:
     """The buildings of the network; shops have names from the sign atlas."""
     shop_names = [r for name, r in layout.sign_rects.items() if name.startswith("shop_")]
-    for number, masses in enumerate(layout.site.network.buildings):
+    blocks = layout.site.network.buildings
+    distance = [layout.distance(np.concatenate([m.footprint for m in b])).min() for b in blocks]
+    models: dict[int, Model] = {}
+    for number in np.argsort(distance, kind="stable"):  # the nearest choose their sheets' places
         rng = layout.spec.stream(f"building {number}")
-        model: Model = []
-        walls = rng.permutation(["wall_0", "wall_1", "wall_2", "wall_3"])
-        for mass in masses:
-            middle = mass.footprint.mean(axis=0)
-            if layout.in_view(middle):
-                nearest = mass.footprint[np.argmin(layout.distance(mass.footprint))]
-                model += buildings.build(mass, rng=rng, lod=layout.lod(nearest, 45.0, 130.0),
-                                         walls=[str(w) for w in walls[:2]],
-                                         shop_names=shop_names)  # fmt: skip
-        if model:
-            yield model
+        free = np.array([layout.places.free(name) for name in buildings.WALL_MATERIALS])
+        walls = rng.choice(buildings.WALL_MATERIALS, 2, replace=False, p=free**4 / (free**4).sum())
+        models[number] = [
+            p
+            for mass in blocks[number]
+            if layout.in_view(mass.footprint.mean(axis=0))
+            for p in _house(layout, mass, [str(w) for w in walls], shop_names, rng=rng)
+        ]
+    yield from (models[number] for number in range(len(blocks)) if models[number])
+
+
+def _house(
+    layout: Layout,
+    mass: Massing,
+    walls: list[str],
+    shop_names: list[Rect],
+    *,
+    rng: np.random.Generator,
+) -> Model:
+    nearest = mass.footprint[np.argmin(layout.distance(mass.footprint))]
+    return buildings.build(
+        mass, rng=rng, lod=layout.lod(nearest, 45.0, 130.0), places=layout.places, walls=walls,
+        shop_names=shop_names,
+    )  # fmt: skip
 
 
 def horizon(layout: Layout) -> Placed:

@@ -59,7 +59,7 @@ STEEL_RGB: Rgb = (0.20, 0.20, 0.21)
 PLATE_WHITE: Rgb = (0.70, 0.70, 0.68)
 PLATE_YELLOW: Rgb = (0.62, 0.45, 0.03)
 
-GLASS: Finish = ("glass", (0.03, 0.032, 0.034))
+GLASS: Finish = ("glass", (0.012, 0.014, 0.016))
 PALE: Finish = ("glass", (0.22, 0.22, 0.21))
 RUBBER: Finish = ("matte", (0.025, 0.025, 0.026))
 PLASTIC: Finish = ("matte", (0.03, 0.03, 0.032))

@@ -138,7 +138,7 @@ class Family:
 # Paints by their share of new cars, linear albedo.
 PAINTS: tuple[tuple[float, Rgb], ...] = (
     (0.25, (0.70, 0.70, 0.68)),  # white
-    (0.20, (0.018, 0.018, 0.020)),  # black
+    (0.20, (0.028, 0.028, 0.030)),  # black: even in shade lighter than what is behind glass
     (0.21, (0.12, 0.125, 0.13)),  # grey
     (0.12, (0.42, 0.43, 0.44)),  # silver
     (0.09, (0.02, 0.06, 0.20)),  # blue

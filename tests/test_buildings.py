@@ -13,6 +13,7 @@ from simgen.massing import KINDS
 from simgen.materials import MATERIALS
 from simgen.mesh import Model, Part
 from simgen.night import LIT_SHARE, glowing
+from simgen.places import Places
 from simgen.roofs import convex_pieces, roof_surface
 from simgen.solids import boxes, inside_out
 
@@ -46,7 +47,9 @@ def massing(kind: str = "house", roof: str = "gabled", **changes: object) -> Mas
 
 
 def built(m: Massing, lod: int, seed: int = 0) -> Model:
-    return build(m, rng=np.random.default_rng(seed), lod=lod)  # type: ignore[arg-type]
+    places = Places(np.zeros((1, 2)), rng=np.random.default_rng(0))
+    rng = np.random.default_rng(seed)
+    return build(m, rng=rng, lod=lod, places=places)  # type: ignore[arg-type]
 
 
 def triangles(p: Part) -> Array:
@@ -219,7 +222,9 @@ def test_only_the_street_side_on_the_ground_has_a_door() -> None:
 
 
 def test_wall_materials_come_from_the_given_ones() -> None:
-    model = build(massing(), rng=np.random.default_rng(0), lod=0, walls=("wall_2",))
+    rng = np.random.default_rng(0)
+    places = Places(np.zeros((1, 2)), rng=rng)
+    model = build(massing(), rng=rng, lod=0, places=places, walls=("wall_2",))
     assert {p.material for p in model} & set(WALL_MATERIALS) == {"wall_2"}
 
 

@@ -17,7 +17,7 @@ LONG_LENS = 1 / np.tan(np.deg2rad(15.0))
 
 
 def layout(way: np.ndarray = DRIVE, zoom: float = 1.0) -> Layout:
-    site = SimpleNamespace(network=SimpleNamespace(lanes=[]))
+    site = SimpleNamespace(network=SimpleNamespace(lanes=[], buildings=[]))
     return Layout(site, make_spec("urban"), way, {}, zoom)
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import shapely
 from flat_sites import flat_layout
 
 from simgen import markings
@@ -53,3 +54,16 @@ def test_every_lane_into_a_crossing_ends_with_a_stop_line_and_a_zebra():
                 assert np.ptp(before) == pytest.approx(3.0, abs=0.1)
                 assert np.ptp(left) == pytest.approx(0.5, abs=0.1)
                 assert 0.0 < before.min() < before.max() < stop.min() - 0.5
+
+
+@pytest.mark.parametrize("scene", [0, 1, 2])
+def test_no_line_and_no_bay_reaches_a_zebra(scene):
+    layout = flat_layout("urban", scene)
+    network, road = layout.site.network, layout.spec.road
+    paints = markings.paint(network, road, rng=SimpleNamespace(random=lambda: 1.0))
+    without = markings.paint(network, road, rng=SimpleNamespace(random=lambda: 0.0))
+    others = {p.outline.tobytes() for p in without}
+    zebras = [p.outline for p in paints if p.outline.tobytes() not in others]
+    bars = shapely.union_all([shapely.Polygon(z).buffer(0.3) for z in zebras])
+    assert len(zebras) > 10 * len(network.junctions)
+    assert not any(bars.intersects(shapely.Polygon(p.outline)) for p in without)

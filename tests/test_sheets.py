@@ -6,8 +6,11 @@ import pytest
 from simgen import world
 from simgen.color import linear_from_srgb, luminance
 from simgen.sheets import (
+    RISE_M,
     WALLS,
     Sheet,
+    _Canvas,
+    _courses,
     _enlarged,
     bark_sheet,
     filtered,
@@ -87,6 +90,18 @@ def test_bricks_have_the_size_of_bricks_and_a_running_bond() -> None:
     up, along = (np.abs(np.fft.rfft(image.mean(axis=axis)))[20:] for axis in (1, 0))
     assert 8.0 / (np.argmax(up) + 20) == pytest.approx(0.075, rel=0.02)
     assert 8.0 / (np.argmax(along) + 20) == pytest.approx(0.25 / 2, rel=0.02)
+
+
+@pytest.mark.parametrize("height_m", [(0.22, 0.42), (0.075, 0.075), (1.6, 1.6)])
+def test_heights_of_courses_repeat_every_rise_and_blocks_do_not(
+    height_m: tuple[float, float],
+) -> None:
+    canvas = _Canvas(1024, 4 * RISE_M, np.random.default_rng(0))
+    laid = _courses(canvas, height_m, (0.4, 1.0), bond=None)
+    np.testing.assert_allclose(np.roll(laid.bed, 256), laid.bed, atol=1e-6)
+    assert (
+        np.abs(laid.perpend[laid.row] - np.roll(laid.perpend[laid.row], 256, axis=0)).mean() > 0.1
+    )
 
 
 def test_filtering_averages_light_and_not_bytes() -> None:
