@@ -199,7 +199,7 @@ def _sprays(
     R = np.stack([forward, side, cross(forward, side)], axis=1) * size[:, :, None]
     foot = middle - 0.5 * shape.length * R[:, 0]
     vertices = foot[:, None] + shape.drawn(num, rng) @ R
-    shade = (0.55 + 0.45 * radius) * np.asarray(color) * tint(clumps.center, rng)[owner]
+    shade = (0.65 + 0.45 * radius) * np.asarray(color) * tint(clumps.center, rng)[owner]
     colors = _leaf_colors(shade, leaf.per_spray, shape.per_leaf, rng)
     twigs = np.broadcast_to(TWIG, (num, vertices.shape[1] - colors.shape[1], 3))
     return merged([

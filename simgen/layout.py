@@ -27,7 +27,7 @@ BEHIND_M = -30.0
 """What stands further behind the rig is left out: neither seen nor casting a shadow in view."""
 AHEAD_M = 430.0
 BESIDE_M = 260.0
-CLOSE_M = 13.0
+CLOSE_M = 15.0
 """Plants up to that far have single leaves, for a 90° lens."""
 CLOSE_TRIANGLES = 200_000
 """of plants that near; further ones are as detailed as if they were further away"""

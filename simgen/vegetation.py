@@ -266,7 +266,7 @@ def _near_hedge(size: Array, area: float, eyes: Array, rng: np.random.Generator)
     face = unit(normal + 0.5 * UP + 0.6 * rng.normal(size=(n, 3)))
     along = unit(0.5 * normal + 0.2 * UP + 0.8 * rng.normal(size=(n, 3)))
     along = unit(cross(cross(face, along), face)) * (length * rng.uniform(0.75, 1.25, n))[:, None]
-    color = HEDGE_COLOR * tint(position / 0.7, rng) * (1.1 - 3.5 * depth)
+    color = HEDGE_COLOR * tint(position / 0.7, rng) * (1.2 - 2.5 * depth)
     return leaf_part(position, along, face, leaf, color, rng)
 
 
