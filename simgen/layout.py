@@ -31,6 +31,8 @@ CLOSE_M = 15.0
 """Plants up to that far have single leaves, for a 90° lens."""
 CLOSE_TRIANGLES = 200_000
 """of plants that near; further ones are as detailed as if they were further away"""
+CLOSE_BEHIND_M = 3.0
+"""Crowns that far behind the rig reach into no image."""
 EYE_M = 1.7
 BROADEST_M = 8.0
 """Something whose middle is that far outside the images may yet reach into them."""
@@ -131,11 +133,13 @@ class Layout:
         """Where the rig is (E, 3) in the frame of a plant, if that deserves single leaves.
 
         ``points`` (N, 2) are the plant's outline or foot; their mean is the origin of its frame. A
-        long lens sees it from nearer. None if it is too far, or the triangles are spent.
+        long lens sees it from nearer. None if it is too far or behind, or the triangles are spent.
         """
         outline = np.asarray(points, dtype=np.float64)[:, :2]
         nearest = outline[np.argmin(self.distance(outline))]
-        if self.close_triangles >= CLOSE_TRIANGLES or self.lod(nearest, CLOSE_M) > 0:
+        ahead = ((nearest - self.way) * self._ahead[0]).sum(axis=1).max()
+        spent = self.close_triangles >= CLOSE_TRIANGLES
+        if spent or ahead < -CLOSE_BEHIND_M or self.lod(nearest, CLOSE_M) > 0:
             return None
         offset = (self.way - outline.mean(axis=0)) / self.zoom
         c, s = np.cos(heading), np.sin(heading)

@@ -84,5 +84,6 @@ def test_single_leaves_end_with_distance_and_with_their_triangles():
     here = layout(DRIVE[:1])
     assert here.close_eyes(np.array([[40.0, 0.0]])) is None
     assert here.close_eyes(np.array([[9.0, 0.0], [40.0, 0.0]])) is not None
+    assert here.close_eyes(np.array([[-9.0, 0.0]])) is None
     here.close_triangles = CLOSE_TRIANGLES
     assert here.close_eyes(np.array([[9.0, 0.0]])) is None
