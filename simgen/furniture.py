@@ -378,7 +378,10 @@ WIRE_SPOTS = np.array([
 """where wires hang on a utility pole, in its frame [m]"""
 
 
-def wires(tops: ArrayLike, *, sag: float = 0.025) -> Part:
+SAG = 0.025
+
+
+def wires(tops: ArrayLike, *, sag: float = SAG) -> Part:
     """A wire through ``tops`` (N, 3), hanging by the share ``sag`` of each span as a catenary."""
     p = np.asarray(tops, dtype=np.float64)
     spans = [_catenary(a, b, sag) for a, b in pairwise(p)]
@@ -392,6 +395,18 @@ def _catenary(a: Array, b: Array, sag: float) -> Array:
     k = 4 * sag  # half the span over c
     drop = sag * np.linalg.norm(b - a) * (1 - (np.cosh(k * t) - 1) / (np.cosh(k) - 1))
     return a + (t[:, None] + 1) / 2 * (b - a) - drop[:, None] * UP
+
+
+def spans(bases: Array) -> Array:
+    """(S, 2, 3) lines as low as the lowest wire between poles on ``bases`` (N, 3): the middle, and
+    where the outermost wires hang."""
+    a, b = bases[:-1], bases[1:]
+    length = np.linalg.norm(b - a, axis=1)[:, None]
+    low = WIRE_SPOTS[:, 2].min() * UP - SAG * length * UP
+    left = np.cross(UP, (b - a) / length) * np.abs(WIRE_SPOTS[:, 1]).max()
+    return np.concatenate(
+        [np.stack([a, b], axis=1) + (low + k * left)[:, None] for k in (-1, 0, 1)]
+    )
 
 
 def utility_pole(*, rng: np.random.Generator) -> Model:

@@ -28,6 +28,13 @@ BEHIND_M = -30.0
 """What stands further behind the rig is left out: neither seen nor casting a shadow in view."""
 AHEAD_M = 430.0
 BESIDE_M = 260.0
+CLOSE_M = 15.0
+"""Plants up to that far have single leaves, for a 90° lens."""
+CLOSE_TRIANGLES = 200_000
+"""of plants that near; further ones are as detailed as if they were further away"""
+CLOSE_BEHIND_M = 3.0
+"""Crowns that far behind the rig reach into no image."""
+EYE_M = 1.7
 BROADEST_M = 8.0
 """Something whose middle is that far outside the images may yet reach into them."""
 
@@ -99,6 +106,10 @@ class Layout:
         """by species and number, likewise"""
         self.tree_triangles = 0
         """of trees that are individuals, so far"""
+        self.close_triangles = 0
+        """of plants with single leaves, so far"""
+        self.wires: list[Array] = []
+        """(N, 2, 3) pieces of the wires over the scene, so far, from point to point"""
         self.crossing = crossing
         blocks = [m for masses in site.network.buildings for m in masses]
         self.places = Places(way, blocks, rng=spec.stream("sheet places"))
@@ -121,6 +132,23 @@ class Layout:
         magnified = np.where(shown, self.zoom, min(self.zoom, 1.0))
         distance = float((np.linalg.norm(offset, axis=1) / magnified).min())
         return 0 if distance <= near else 1 if distance <= far else 2
+
+    def close_eyes(self, points: ArrayLike, heading: float = 0.0) -> Array | None:
+        """Where the rig is (E, 3) in the frame of a plant, if that deserves single leaves.
+
+        ``points`` (N, 2) are the plant's outline or foot; their mean is the origin of its frame. A
+        long lens sees it from nearer. None if it is too far or behind, or the triangles are spent.
+        """
+        outline = np.asarray(points, dtype=np.float64)[:, :2]
+        nearest = outline[np.argmin(self.distance(outline))]
+        ahead = ((nearest - self.way) * self._ahead[0]).sum(axis=1).max()
+        spent = self.close_triangles >= CLOSE_TRIANGLES
+        if spent or ahead < -CLOSE_BEHIND_M or self.lod(nearest, CLOSE_M) > 0:
+            return None
+        offset = (self.way - outline.mean(axis=0)) / self.zoom
+        c, s = np.cos(heading), np.sin(heading)
+        turned = offset @ np.array([[c, -s], [s, c]])
+        return np.column_stack([turned, np.full(len(turned), EYE_M)])
 
     def in_view(self, xy: Array) -> bool:
         """Whether something at ``xy`` can matter for an image."""

@@ -27,16 +27,21 @@ def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, fl
     if height < MIN_SHARE * low or not layout.site.claim([(*xy[:2], 0.9)]):
         return []
     lod: int = layout.lod(xy)
-    if lod < FAR:
-        if layout.tree_triangles > MAX_TREE_TRIANGLES:
-            lod += 1
-        layout.tree_triangles += vegetation.TREE_TRIANGLES[lod]
-    if lod < FAR or clear_m:
-        model = vegetation.tree(species, height_m=height, lod=lod, rng=rng, clear_m=clear_m)
+    if lod < FAR and layout.tree_triangles > MAX_TREE_TRIANGLES:
+        lod += 1
+    heading = float(rng.uniform(0, 2 * np.pi))
+    eyes = layout.close_eyes(xy[None], heading)
+    if lod < FAR or clear_m or eyes is not None:
+        model = vegetation.tree(
+            species, height_m=height, lod=lod, rng=rng, clear_m=clear_m, eyes=eyes
+        )
     else:
         model = _far_tree(layout, species, height, rng)
+    num = sum(len(p.faces) for p in model)
+    layout.tree_triangles += num if lod < FAR else 0
+    layout.close_triangles += 0 if eyes is None else num
     model = _own_bark(model, rng)
-    return sunk(layout.stand(model, xy, float(rng.uniform(0, 2 * np.pi))), SUNK_M)
+    return sunk(layout.stand(model, xy, heading), SUNK_M)
 
 
 def _own_bark(model: Model, rng: np.random.Generator) -> Model:
@@ -51,6 +56,10 @@ CROWN_GAP_M = 0.3
 """between a crown and a house, or a lane that it does not bridge"""
 HEADROOM_M = 4.5
 """under a crown over a lane"""
+WIRE_GAP_M = 0.7
+"""between a crown and overhead wires"""
+TALLEST = 1.1
+"""at most the height of a tree over the one asked for"""
 MIN_SHARE = 0.6
 """of the usual height of its species: a lower tree is not planted"""
 
@@ -62,13 +71,27 @@ def _fitted(layout: Layout, species: str, height_m: float, xy: Array) -> tuple[f
     """
     per_m = vegetation.crown_radius_m(species, 1.0)
     from_house, from_lane = layout.site.room(xy) - CROWN_GAP_M
-    height = min(height_m, from_house / per_m)
+    height = _clear_of_wires(layout, species, min(height_m, from_house / per_m), xy)
     if height * per_m <= from_lane:
         return height, 0.0
     clear_m = HEADROOM_M + SUNK_M + _rise(layout, xy, height * per_m)
     if height >= vegetation.lowest_limbed_m(clear_m):
         return height, clear_m
     return from_lane / per_m, 0.0
+
+
+def _clear_of_wires(layout: Layout, species: str, height_m: float, xy: Array) -> float:
+    """The height [m], up to ``height_m``, of a tree that stays below wires or beside them."""
+    if not layout.wires:
+        return height_m
+    a, b = np.concatenate(layout.wires).swapaxes(0, 1)
+    along = (b - a)[:, :2]
+    share = ((xy[:2] - a[:, :2]) * along).sum(axis=1) / (along**2).sum(axis=1)
+    nearest = a[:, :2] + np.clip(share, 0, 1)[:, None] * along
+    beside = np.linalg.norm(nearest - xy[:2], axis=1) - WIRE_GAP_M
+    below = np.minimum(a[:, 2], b[:, 2]) - layout.site.height(xy[:2]) - WIRE_GAP_M
+    room = np.maximum(beside / vegetation.crown_radius_m(species, 1.0), below / TALLEST)
+    return min(height_m, float(room.min()))
 
 
 def _rise(layout: Layout, xy: Array, radius_m: float) -> float:
@@ -139,8 +162,11 @@ MAX_TREES_PER_HECTARE = 49.0
 def _shrub(layout: Layout, xy: Array, rng: np.random.Generator) -> Model:
     if not layout.in_view(xy) or not layout.site.claim([(*xy[:2], 0.6)]):
         return []
-    model = vegetation.shrub(rng=rng, lod=layout.lod(xy, 25.0, 70.0))
-    return sunk(layout.stand(model, xy, float(rng.uniform(0, 6.28))), 0.05)
+    heading = float(rng.uniform(0, 2 * np.pi))
+    eyes = layout.close_eyes(xy[None], heading)
+    model = vegetation.shrub(rng=rng, lod=layout.lod(xy, 25.0, 70.0), eyes=eyes)
+    layout.close_triangles += 0 if eyes is None else sum(len(p.faces) for p in model)
+    return sunk(layout.stand(model, xy, heading), 0.05)
 
 
 def grass(layout: Layout) -> Placed:

@@ -355,7 +355,9 @@ def utility_poles(layout: Layout) -> Placed:
         if free and not np.isnan(ground) and layout.site.claim([(*point[:2], 0.35)]):
             bases.append([*point[:2], ground])
     if len(bases) > 1:
-        yield furniture.utility_line(np.array(bases), rng=rng)
+        poles = np.array(bases)
+        layout.wires.append(furniture.spans(poles))
+        yield furniture.utility_line(poles, rng=rng)
 
 
 _RADIUS_M = {
@@ -467,10 +469,11 @@ def _stretches(
 def _hedge(layout: Layout, stretch: Array, rng: np.random.Generator) -> Model:
     """A straight hedge from the first to the last point of a stretch."""
     chord = stretch[-1, :2] - stretch[0, :2]
-    middle = stretch.mean(axis=0)
+    middle, heading = stretch.mean(axis=0), float(np.arctan2(chord[1], chord[0]))
+    eyes = layout.close_eyes(stretch, heading)
     model = vegetation.hedge(
         float(np.linalg.norm(chord)), float(rng.uniform(0.9, 2.0)), float(rng.uniform(0.5, 0.9)),
-        rng=rng, lod=layout.lod(middle, 18.0, 55.0),
+        rng=rng, lod=layout.lod(middle, 18.0, 55.0), eyes=eyes,
     )  # fmt: skip
-    heading = float(np.arctan2(chord[1], chord[0]))
+    layout.close_triangles += 0 if eyes is None else sum(len(p.faces) for p in model)
     return sunk(layout.stand(model, middle, heading, z=float(stretch[:, 2].min())), 0.05)

@@ -12,7 +12,7 @@ NIGHT_SAMPLES = 2
 """Where lamps burn, so many times the samples: each picks one of several small lights. Of a country
 road that only headlights reach, 2 samples a pixel left 1.8 times the true power in an octave, 4
 left 1.2."""
-FEATURE_SPP = 8
+FEATURE_SPP = 16
 """of the first-hit pass that measures albedo, normals, distance and coverage"""
 MAX_DEPTH = 4
 """of a path"""

@@ -30,6 +30,7 @@ def overhead(layout: Layout) -> Placed:
             for left, right in _pole_pairs(layout, *lines):
                 yield [p for foot in (left, right) for p in _pole(layout, foot)]
                 hung.append(_span(left, right))
+                layout.wires.append(np.stack([left, right])[None] + CONTACT_M * UP)
     if hung:
         yield assembled([*hung, *_contact_lines(layout)])
 
@@ -85,4 +86,5 @@ def _wire(layout: Layout, line: Array) -> Part:
     """A contact wire over a line on the road, as far as it is in view."""
     seen = np.array([layout.in_view(p) for p in line])
     high = line[seen] + CONTACT_M * UP
+    layout.wires.append(np.stack([high[:-1], high[1:]], axis=1))
     return part(*bars(high[:-1], high[1:], 0.009, 4), "metal", POLE, color=BLACK)

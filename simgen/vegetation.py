@@ -1,11 +1,12 @@
-"""Trees, shrubs, hedges and grass: branches, and clumps of leaf triangles.
+"""Trees, shrubs, hedges and grass: branches, and clumps of leaves.
 
 A tree is grown from the outside in. Branch ends are drawn on the envelope of the crown, branches
-lead to them from the trunk, *clumps* (ellipsoids) sit along the branches, and leaf triangles, each
-standing for a small spray of leaves, cover the clumps. What gaps there are show the sky.
+lead to them from the trunk, *clumps* (ellipsoids) sit along the branches, and the leaves of
+foliage.py cover the clumps. What gaps there are show the sky.
 
-Levels of detail: 0 is seen from 6 to 32 m, 1 from 32 to 95 m, 2 from further, each times the
-magnification of the lens against one of 90° (see :meth:`simgen.layout.Layout.lod`). With equal
+Levels of detail: 0 is seen up to 32 m, 1 from 32 to 95 m, 2 from further, each times the
+magnification of the lens against one of 90° (see :meth:`simgen.layout.Layout.lod`). What stands
+nearer yet is told from where it is seen (``eyes``), and has single leaves on that side. With equal
 generators all levels share branches and clumps; fewer leaves are larger ones, so that silhouette
 and density stay.
 """
@@ -17,6 +18,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simgen.foliage import (
+    CLUSTER_WIDTH,
+    Array,
+    Clumps,
+    Leaf,
+    cluster_part,
+    clusters,
+    leaf_length_m,
+    leaf_part,
+    lumps,
+    near_leaves,
+    tint,
+    unit,
+)
 from simgen.mesh import (
     Faces,
     Model,
@@ -30,17 +45,22 @@ from simgen.mesh import (
 )
 from simgen.schema import LABELS
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 VEGETATION, TERRAIN = LABELS["vegetation"], LABELS["terrain"]
 TREE_TRIANGLES = (10000, 4000, 1400)  # at most, by level of detail
+FAR, NEAR = 2, 3  # levels of detail of wood
+NEAR_TREE_TRIANGLES = 60000
+"""at most, of a tree with single leaves"""
 SHRUB_TRIANGLES = (2400, 700, 140)
+NEAR_SHRUB_TRIANGLES = 12000
 HEDGE_TRIANGLES_PER_M2 = (260, 70, 14)
+NEAR_HEDGE_TRIANGLES = 40000
+SHRUB_LEAF = Leaf(0.05, 0.5)
+HEDGE_LEAF = Leaf(0.05, 0.65)
 
 UP = np.array([0.0, 0.0, 1.0])
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-LEAF_WIDTH = 0.5  # of a leaf's length
 LOPSIDED = 1.38  # at most the reach of leaves over the crown's radius
 HANG = 0.11  # at most the depth of leaves below the crown's base, as a share of the height
 MAX_CROWN_BASE = 0.7  # what is left of a tree above its lowest limbs is a crown yet
@@ -71,7 +91,9 @@ class Species:
     """leaf area over the cross-section of the clumps: below 1 the crown is airy"""
     droop: float
     """how strongly leaves point down; 0 for any direction"""
-    leaf: Color
+    color: Color
+    """albedo of the leaves"""
+    leaf: Leaf
     trunk: Color | None = None
     """albedo of a trunk that is not of the brown bark sheet"""
 
@@ -81,55 +103,45 @@ SPECIES: dict[str, Species] = {
         height_m=(9.0, 18.0), crown_base=0.22, crown_radius=0.34,
         profile=(0.5, 0.9, 1.0, 0.97, 0.85, 0.5), leader=0.7, trunk_radius=0.018,
         num_branches=30, clumps_per_branch=3, rise=0.9, clump=(0.29, 0.26, 0.22), cover=0.7,
-        droop=0.3, leaf=(0.082, 0.145, 0.034),
+        droop=0.3, color=(0.082, 0.145, 0.034),
+        leaf=Leaf(0.085, 0.58),
     ),
     "poplar": Species(
         height_m=(14.0, 26.0), crown_base=0.08, crown_radius=0.105,
         profile=(0.6, 0.95, 1.0, 0.92, 0.72, 0.3), leader=0.95, trunk_radius=0.012,
         num_branches=44, clumps_per_branch=2, rise=2.2, clump=(0.75, 0.42, 0.42), cover=0.5,
-        droop=0.1, leaf=(0.078, 0.138, 0.038),
+        droop=0.1, color=(0.078, 0.138, 0.038),
+        leaf=Leaf(0.07, 0.85),
     ),
     "birch": Species(
         height_m=(8.0, 17.0), crown_base=0.22, crown_radius=0.21,
         profile=(0.6, 0.95, 1.0, 0.82, 0.6, 0.25), leader=0.92, trunk_radius=0.010,
         num_branches=26, clumps_per_branch=3, rise=1.1, clump=(0.25, 0.20, 0.34), cover=0.55,
-        droop=1.2, leaf=(0.105, 0.175, 0.042), trunk=(0.50, 0.48, 0.44),
+        droop=1.2, color=(0.105, 0.175, 0.042),
+        leaf=Leaf(0.055, 0.65), trunk=(0.50, 0.48, 0.44),
     ),
     "spruce": Species(
         height_m=(10.0, 24.0), crown_base=0.08, crown_radius=0.20,
         profile=(1.0, 0.9, 0.74, 0.56, 0.36, 0.12), leader=0.97, trunk_radius=0.013,
         num_branches=110, clumps_per_branch=1, rise=-0.35, clump=(0.55, 0.28, 0.16), cover=0.95,
-        droop=0.9, leaf=(0.056, 0.102, 0.038),
+        droop=0.9, color=(0.056, 0.102, 0.038),
+        leaf=Leaf(0.08, 0.26, per_spray=15, angle_deg=50, fold=0.0),
     ),
     "pine": Species(
         height_m=(10.0, 20.0), crown_base=0.46, crown_radius=0.22,
         profile=(0.6, 1.0, 0.95, 0.8, 0.45), leader=0.93, trunk_radius=0.012,
         num_branches=24, clumps_per_branch=2, rise=0.35, clump=(0.36, 0.32, 0.17), cover=0.9,
-        droop=-0.4, leaf=(0.060, 0.110, 0.042),
+        droop=-0.4, color=(0.060, 0.110, 0.042),
+        leaf=Leaf(0.1, 0.2, per_spray=15, angle_deg=35, fold=0.0),
     ),
     "street": Species(
         height_m=(8.0, 12.0), crown_base=0.42, crown_radius=0.18,
         profile=(0.5, 0.95, 1.0, 0.85, 0.45), leader=0.85, trunk_radius=0.009,
         num_branches=18, clumps_per_branch=3, rise=1.2, clump=(0.36, 0.30, 0.27), cover=0.65,
-        droop=0.3, leaf=(0.092, 0.165, 0.038),
+        droop=0.3, color=(0.092, 0.165, 0.038),
+        leaf=Leaf(0.095, 0.75),
     ),
 }  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Clumps:
-    """C ellipsoids that leaves cover."""
-
-    center: Array
-    """(C, 3) [m]"""
-    axes: Array
-    """(C, 3, 3): rows are the semi-axes [m]"""
-
-    @property
-    def cross_section(self) -> Array:
-        """(C,) area [m²] seen from above, and a fair weight for the number of leaves."""
-        a, b, c = np.linalg.norm(self.axes, axis=2).T
-        return np.pi * np.cbrt(a * b * c) ** 2
 
 
 def tree(
@@ -139,10 +151,13 @@ def tree(
     lod: int,
     rng: np.random.Generator,
     clear_m: float = 0.0,
+    eyes: Array | None = None,
 ) -> Model:
     """A tree of ``height_m``: its wood, then its leaves; at most ``TREE_TRIANGLES[lod]``.
 
-    Where something is to pass below it, its limbs are cut off up to ``clear_m``.
+    Where something is to pass below it, its limbs are cut off up to ``clear_m``. With ``eyes``
+    (E, 3), places in its frame from which it is looked at closely, it has single leaves, and at
+    most NEAR_TREE_TRIANGLES.
     """
     if species not in SPECIES:
         raise ValueError(f"tree: unknown species {species!r}; choose from {', '.join(SPECIES)}")
@@ -153,9 +168,16 @@ def tree(
     trunk = _trunk_path(kind, height_m, rng)
     branches = _branch_paths(kind, height_m, trunk, rng)
     clumps, twigs = _clumps_on(branches, kind, height_m, rng)
-    wood = _wood(kind, height_m, trunk, branches, twigs, lod)
-    num_leaves = TREE_TRIANGLES[lod] - sum(len(p.faces) for p in wood)
-    return [*wood, _leaves(clumps, num_leaves, kind.cover, kind.droop, kind.leaf, rng)]
+    wood = _wood(kind, height_m, trunk, branches, twigs, lod if eyes is None else NEAR)
+    num_wood = sum(len(p.faces) for p in wood)
+    if eyes is None:
+        num_leaves = TREE_TRIANGLES[lod] - num_wood
+        return [*wood, clusters(clumps, num_leaves, kind.cover, kind.droop, kind.color, rng)]
+    leaves = near_leaves(
+        clumps, eyes, NEAR_TREE_TRIANGLES - num_wood, kind.leaf,
+        cover=kind.cover, droop=kind.droop, color=kind.color, rng=rng,
+    )  # fmt: skip
+    return [*wood, leaves]
 
 
 def crown_radius_m(species: str, height_m: float) -> float:
@@ -168,32 +190,89 @@ def lowest_limbed_m(clear_m: float) -> float:
     return clear_m / (MAX_CROWN_BASE - HANG)
 
 
-def shrub(*, rng: np.random.Generator, lod: int) -> Model:
+def shrub(*, rng: np.random.Generator, lod: int, eyes: Array | None = None) -> Model:
     """A bush 0.8 to 2 m high, leafy down to the ground."""
     radius = rng.uniform(0.5, 1.1)
-    direction = _unit(rng.normal(size=(14, 3)))
+    direction = unit(rng.normal(size=(20, 3)))
     direction[:, 2] = np.abs(direction[:, 2]) * 1.3
-    center = direction * radius * rng.uniform(0.35, 0.75, (14, 1)) + 0.2 * radius * UP
-    size = radius * rng.uniform(0.28, 0.5, (14, 1, 1))
-    leaf = np.array([0.07, 0.125, 0.035]) * rng.uniform(0.8, 1.25)
-    return [_leaves(Clumps(center, np.eye(3) * size), SHRUB_TRIANGLES[lod], 0.9, 0.0, leaf, rng)]
+    center = direction * radius * rng.uniform(0.35, 0.75, (20, 1)) + 0.2 * radius * UP
+    size = radius * rng.uniform(0.26, 0.44, (20, 1, 1))
+    color = np.array([0.07, 0.125, 0.035]) * rng.uniform(0.8, 1.25)
+    clumps = Clumps(center, np.eye(3) * size)
+    if eyes is None:
+        return [clusters(clumps, SHRUB_TRIANGLES[lod], 0.9, 0.0, color, rng)]
+    return [
+        near_leaves(clumps, eyes, NEAR_SHRUB_TRIANGLES, SHRUB_LEAF, cover=0.9, droop=0.0,
+                    color=color, rng=rng)
+    ]  # fmt: skip
+
+
+HEDGE_COLOR = np.array([0.06, 0.115, 0.03])
+HEDGE_COVER, NEAR_HEDGE_COVER = 1.1, 1.7
+"""leaf area over the area of its sides"""
 
 
 def hedge(
-    length_m: float, height_m: float, width_m: float, *, rng: np.random.Generator, lod: int
+    length_m: float,
+    height_m: float,
+    width_m: float,
+    *,
+    rng: np.random.Generator,
+    lod: int,
+    eyes: Array | None = None,
 ) -> Model:
     """A clipped hedge along x: leaves around a dark inner volume."""
     size = np.array([length_m, width_m, height_m])
-    inner = np.maximum(size - 0.16, size / 2)
+    inner = np.maximum(size - (0.16 if eyes is None else 0.3), size / 2)
     core = part(*box(inner, (0, 0, inner[2] / 2)), "leaf", VEGETATION, color=DARK)
     area = 2 * (length_m + width_m) * height_m + length_m * width_m
     num = int(np.ceil(HEDGE_TRIANGLES_PER_M2[lod] * area))
     position, normal = _on_box(size, num, rng)
-    position -= normal * rng.uniform(-0.02, 0.12, (num, 1)) + 0.04 * _lumps(position, rng)
-    length = np.sqrt(2 / LEAF_WIDTH * 1.1 * area / num) * rng.uniform(0.7, 1.3, num)
-    tint = _tint(position / 0.7, rng) * rng.uniform(0.75, 1.25, (num, 1))
-    color = np.array([0.06, 0.115, 0.03]) * tint
-    return [merged([core, _leaf_part(position, normal, length, 0.0, color, rng)])]
+    near: list[Part] = []
+    if eyes is not None:
+        hidden = ~_sees(eyes, position, normal)
+        near = [_near_hedge(size, area, eyes, rng)]
+        position, normal = position[hidden], normal[hidden]
+    length = np.sqrt(2 / CLUSTER_WIDTH * HEDGE_COVER * area / num)
+    return [merged([core, *near, _hedge_clusters(position, normal, length, rng)])]
+
+
+def _hedge_clusters(
+    position: Array, normal: Array, length: float, rng: np.random.Generator
+) -> Part:
+    num = len(position)
+    position = position - normal * rng.uniform(-0.02, 0.12, (num, 1)) - 0.04 * lumps(position, rng)
+    color = HEDGE_COLOR * tint(position / 0.7, rng) * rng.uniform(0.75, 1.25, (num, 1))
+    return cluster_part(position, normal, length * rng.uniform(0.7, 1.3, num), 0.0, color, rng)
+
+
+def _near_hedge(size: Array, area: float, eyes: Array, rng: np.random.Generator) -> Part:
+    """Single leaves on the sides that the eyes see, smaller where they are nearer."""
+    leaf, most = HEDGE_LEAF, NEAR_HEDGE_TRIANGLES // 2
+    leaf_area = 0.5 * leaf.width  # of one that is 1 long
+    num = min(int(NEAR_HEDGE_COVER * area / (leaf_area * leaf.length_m**2)), 5 * most)
+    finest = np.sqrt(NEAR_HEDGE_COVER * area / (leaf_area * num))
+    position, normal = _on_box(size, num, rng)
+    seen = _sees(eyes, position, normal)
+    position, normal = position[seen], normal[seen]
+    length = np.maximum(leaf_length_m(leaf, position, eyes), finest)
+    wanted = (finest / length) ** 2
+    grown = max(1.0, np.sqrt(wanted.sum() / most))
+    keep = rng.random(len(position)) < wanted / grown**2
+    position, normal, length = position[keep], normal[keep], grown * length[keep]
+    n = len(position)
+    depth = rng.uniform(0.0, 0.17, (n, 1))
+    position -= normal * depth + 0.04 * lumps(position, rng)
+    face = unit(normal + 0.5 * UP + 0.6 * rng.normal(size=(n, 3)))
+    along = unit(0.5 * normal + 0.2 * UP + 0.8 * rng.normal(size=(n, 3)))
+    along = unit(cross(cross(face, along), face)) * (length * rng.uniform(0.75, 1.25, n))[:, None]
+    color = HEDGE_COLOR * tint(position / 0.7, rng) * (1.2 - 2.5 * depth)
+    return leaf_part(position, along, face, leaf, color, rng)
+
+
+def _sees(eyes: Array, position: Array, normal: Array) -> NDArray[np.bool_]:
+    """(N,) whether an eye is on the outer side of the faces at ``position``."""
+    return np.asarray(np.any([((eye - position) * normal).sum(axis=1) > 0 for eye in eyes], axis=0))
 
 
 def grass_tufts(
@@ -291,8 +370,8 @@ def _clumps_on(
     spread = rng.normal(0, 0.13 * (per - 1) / per, (len(start), 3)) * radius
     center = start + along * (end - start) + spread
     size = np.array(kind.clump) * radius * rng.uniform(0.75, 1.3, (len(start), 1))
-    forward = _unit(end - start)
-    side = _unit(cross(UP + 1e-3, forward))
+    forward = unit(end - start)
+    side = unit(cross(UP + 1e-3, forward))
     axes = np.stack([forward, side, cross(forward, side)], axis=1) * size[:, :, None]
     twigs = np.stack([start + (along - 0.25) * (end - start), center], axis=1)
     return Clumps(center, axes), twigs
@@ -307,16 +386,17 @@ def _wood(
     base = kind.trunk_radius * height_m
     z = np.clip(trunk[:, 2] / trunk[-1, 2], 0, 1)
     trunk_radius = base * (1 - 0.8 * z + 0.35 * np.exp(-z * height_m / 0.3))
-    rings = slice(None, None, (1, 4, 8)[lod])
-    stem = _tubes(trunk[None, rings], trunk_radius[None, rings], (8, 6, 4)[lod])
-    every = -(-len(branches) // 24)  # more limbs would only hide among the leaves
-    limbs = branches[::every, :: lod + 1]
+    rings = slice(None, None, (1, 4, 8, 1)[lod])
+    stem = _tubes(trunk[None, rings], trunk_radius[None, rings], (8, 6, 4, 14)[lod])
+    # From afar, more limbs would only hide among the leaves.
+    every = 1 if lod == NEAR else -(-len(branches) // 24)
+    limbs = branches[::every, :: (1, 2, 3, 1)[lod]]
     limb_base = np.interp(limbs[:, 0, 2], trunk[:, 2], trunk_radius) * 0.5
     limb_radius = limb_base[:, None] * np.linspace(1, 0.25, limbs.shape[1])
     twig_radius = np.full((len(twigs), 1), 0.12 * base) * np.array([1, 0.3])
-    thin = [_tubes(limbs, limb_radius, 4 - lod)] if lod < 2 else []
-    if lod == 0:
-        thin.append(_tubes(twigs[::every], twig_radius[::every], 3))
+    thin = [_tubes(limbs, limb_radius, (4, 3, 0, 6)[lod])] if lod != FAR else []
+    if lod in (0, NEAR):
+        thin.append(_tubes(twigs[::every], twig_radius[::every], 3 if lod == 0 else 4))
     if kind.trunk is None:
         return [merged([_bark(*tube) for tube in [stem, *thin]])]
     vertices, faces, _ = stem
@@ -340,9 +420,9 @@ def _birch_color(trunk: Color, vertices: Vertices) -> Array:
 def _tubes(paths: Array, radius: Array, sides: int) -> tuple[Vertices, Faces, Array]:
     """Open tubes along (B, P, 3) paths with (B, P) radii: vertices, faces, uv in metres."""
     num, points = paths.shape[:2]
-    tangent = _unit(np.gradient(paths, axis=1))
+    tangent = unit(np.gradient(paths, axis=1))
     helper = np.eye(3)[np.argmin(np.abs(tangent).max(axis=1), axis=1)][:, None]
-    u = _unit(cross(tangent, helper))
+    u = unit(cross(tangent, helper))
     w = cross(tangent, u)
     angle = np.linspace(0, 2 * np.pi, sides + 1)[:, None]  # the seam twice, for uv
     ring = np.cos(angle) * u[:, :, None] + np.sin(angle) * w[:, :, None]
@@ -358,65 +438,6 @@ def _tubes(paths: Array, radius: Array, sides: int) -> tuple[Vertices, Faces, Ar
     return vertices.reshape(-1, 3), faces, uv.reshape(-1, 2)
 
 
-# Leaves
-
-
-def _leaves(
-    clumps: Clumps, num: int, cover: float, droop: float, leaf: ArrayLike, rng: np.random.Generator
-) -> Part:
-    """``num`` triangles over the clumps, of ``cover`` times the clumps' cross-section in area."""
-    area = clumps.cross_section
-    clump_color = np.asarray(leaf) * _tint(clumps.center, rng)
-    owner = np.searchsorted(np.cumsum(area) / area.sum(), (np.arange(num) + 0.5) / num)
-    radius = rng.uniform(0.15, 1.0, (num, 1)) ** 0.6
-    to_light = clumps.center - clumps.center.mean(axis=0)
-    to_light /= np.linalg.norm(to_light, axis=1).max()
-    direction = rng.normal(size=(num, 3)) + np.einsum(  # few leaves grow inside the crown
-        "nd,nkd->nk", 1.2 * to_light[owner], _unit(clumps.axes[owner])
-    )
-    offset = np.einsum("nk,nkd->nd", radius * _unit(direction), clumps.axes[owner])
-    # Large dark leaves inside stop the light, small bright ones outside draw the outline.
-    scale = (1.9 - 1.2 * radius[:, 0]) * rng.uniform(0.7, 1.3, num)
-    length = scale * np.sqrt(cover * area.sum() * 2 / LEAF_WIDTH / (scale**2).sum())
-    color = clump_color[owner] * (0.35 + 0.7 * radius) * rng.uniform(0.8, 1.25, (num, 1))
-    return _leaf_part(clumps.center[owner] + offset, _unit(offset), length, droop, color, rng)
-
-
-def _leaf_part(
-    position: Array,
-    outward: Array,
-    length: Array,
-    droop: float,
-    color: Array,
-    rng: np.random.Generator,
-) -> Part:
-    """Slim triangles that face ``outward`` and up, by and large."""
-    n = len(position)
-    normal = _unit(outward + 0.4 * UP + 0.5 * rng.normal(size=(n, 3)))
-    wish = rng.normal(size=(n, 3)) + 0.6 * outward - droop * UP
-    side = _unit(cross(normal, wish)) * (0.5 * LEAF_WIDTH * length[:, None])
-    along = _unit(cross(side, normal)) * length[:, None]
-    base = position - along / 3
-    vertices = np.stack([base - side, base + side, base + along], axis=1)
-    corner = np.array([0.88, 0.88, 1.18])[:, None]  # the tip has the light
-    vertex_color = (color[:, None] * corner).reshape(-1, 3)
-    return part(vertices, np.arange(3 * n), "leaf", VEGETATION, color=vertex_color)
-
-
-def _tint(position: Array, rng: np.random.Generator) -> Array:
-    """(N, 3) factors: hue and brightness of one plant, and of each of its places."""
-    n = len(position)
-    yellow = rng.normal(0, 0.07) + rng.normal(0, 0.05, n)
-    bright = np.exp(rng.normal(0, 0.08) + 0.1 * _lumps(position, rng)[:, 0])
-    return bright[:, None] * np.exp(yellow[:, None] * np.array([1.6, 0.4, -1.0]))
-
-
-def _lumps(position: Array, rng: np.random.Generator) -> Array:
-    """(N, 1) smooth noise in [-1, 1] over positions, with features about 2 m apart."""
-    frequency, phase = rng.normal(0, 1.5, (3, 4)), rng.uniform(0, 2 * np.pi, 4)
-    return np.sin(position @ frequency + phase).mean(axis=1, keepdims=True)
-
-
 def _on_box(size: Array, num: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """(num, 3) points on the top and the four sides of a box on the ground, and their normals."""
     x, y, z = size
@@ -430,8 +451,3 @@ def _on_box(size: Array, num: int, rng: np.random.Generator) -> tuple[Array, Arr
 
 def _horizontal(azimuth: Array) -> Array:
     return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
-
-
-def _unit(vector: Array) -> Array:
-    x, y, z = np.moveaxis(vector, -1, 0)
-    return vector / np.sqrt(x * x + y * y + z * z)[..., None]

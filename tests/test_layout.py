@@ -9,7 +9,8 @@ import pytest
 from test_ground import make_spec
 
 from simgen import night
-from simgen.layout import Layout
+from simgen.layout import CLOSE_TRIANGLES, Layout
+from simgen.mesh import box, part, placed
 from simgen.scene import _near_and_far
 
 DRIVE = np.stack([np.arange(0.0, 61.0, 3.0), np.zeros(21)], axis=1)
@@ -66,3 +67,23 @@ def test_sheets_are_sharp_along_the_whole_drive():
     near, far = _near_and_far("wall_0", walls, sheet, MATERIALS["wall_0"], DRIVE)
     assert len(near.parts) == 2
     assert len(far.parts) == 1
+
+
+def test_eyes_of_a_near_plant_are_where_the_rig_is_in_the_plants_frame():
+    here = layout(np.array([[3.0, 1.0]]))
+    heading, foot = 0.7, np.array([9.0, 5.0])
+    eyes = here.close_eyes(foot[None], heading)
+    assert eyes is not None
+    (eye,) = eyes
+    marker = [part(*box((0.1, 0.1, 0.1), eye), "matte", 0)]
+    (stands,) = placed(marker, xyz=[*foot, 0.0], heading_rad=heading)
+    np.testing.assert_allclose(stands.vertices.mean(axis=0)[:2], [3.0, 1.0])
+
+
+def test_single_leaves_end_with_distance_and_with_their_triangles():
+    here = layout(DRIVE[:1])
+    assert here.close_eyes(np.array([[40.0, 0.0]])) is None
+    assert here.close_eyes(np.array([[9.0, 0.0], [40.0, 0.0]])) is not None
+    assert here.close_eyes(np.array([[-9.0, 0.0]])) is None
+    here.close_triangles = CLOSE_TRIANGLES
+    assert here.close_eyes(np.array([[9.0, 0.0]])) is None

@@ -32,12 +32,27 @@ def test_crowns_stay_out_of_houses_and_leave_headroom_over_lanes(recipe, seed):
         assert (over[:, 2] - site.height(over[:, :2])).min(initial=np.inf) > 4.4
 
 
+@pytest.mark.parametrize(("below_m", "room_m"), [(8.0, 0.0), (30.0, 3.0)])
+def test_trees_stay_below_wires_or_beside_them(below_m, room_m):
+    spec = make_spec("rural", 3)
+    layout = Layout(Site(roads.build(spec)), spec, np.zeros((1, 2)), {}, COARSE)
+    where = layout.rig_xy + np.array([20.0, room_m])
+    ground = float(layout.site.height(where)[0])
+    ends = np.array([[-50.0, 0, ground + below_m], [90.0, 0, ground + below_m]])
+    layout.wires.append(ends[None])
+    for species in SPECIES:
+        height = planting._clear_of_wires(layout, species, 25.0, where)
+        assert height * 1.1 < below_m or crown_radius_m(species, height) < room_m
+        assert height > 4.0
+
+
 @pytest.mark.parametrize("species", SPECIES)
 def test_leaves_keep_to_the_stated_radius_and_above_what_was_cut_off(species):
     height = 1.2 * lowest_limbed_m(4.5)
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        model = tree(species, height_m=height, lod=seed % 3, rng=rng, clear_m=4.5)
+        eyes = np.array([[0.0, -7.0, 1.7]]) if seed == 3 else None
+        model = tree(species, height_m=height, lod=seed % 3, rng=rng, clear_m=4.5, eyes=eyes)
         leaves = model[-1].vertices
         assert model[-1].semantic == LABELS["vegetation"]
         assert np.linalg.norm(leaves[:, :2], axis=1).max() < crown_radius_m(species, height)

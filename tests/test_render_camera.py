@@ -121,13 +121,31 @@ def test_the_sky_we_add_is_the_sky_that_the_renderer_sees() -> None:
 
 def test_passes_of_one_seed_see_the_same_samples(cam):
     """Radiance and albedo are divided sample by sample: as if one integrator had held both."""
+    import mitsuba as mi
+
     patch = in_view(cam, (-2, -2, 5), (4, 0, 1), (0, 3, 0.4), color=(0.8, 0.3, 0.1))
     scene, sensor = scene_of([patch]), load_sensor(cam)
-    nested = {"type": "aov", "aovs": "albedo:albedo", "paths": renderer._PATHS}
+    nested = mi.load_dict({"type": "aov", "aovs": "albedo:albedo", "paths": renderer._PATHS})
     both = renderer._rendered(scene, nested, sensor, 2, 7)
     paths, albedo = renderer._paths_and_albedo(scene, sensor, 2, 7)
     assert albedo.max() > 0.5
     np.testing.assert_array_equal(both, np.concatenate([paths, albedo], axis=-1))
+
+
+def test_first_hits_are_those_of_the_renderers_own_integrators(cam):
+    import mitsuba as mi
+
+    patch = in_view(cam, (-2, -2, 5), (4, 0, 1), (0, 3, 0.4), color=(0.8, 0.3, 0.1))
+    scene, sensor = scene_of([patch]), load_sensor(cam, "multijitter")
+    surface, distance = (
+        renderer._rendered(scene, mi.load_dict(x), sensor, 16, 7)
+        for x in (renderer._SURFACE, renderer._DISTANCE)
+    )
+    albedo, coverage, normal, distance_m = renderer._first_hits(scene, sensor, 16, 7)
+    assert 0 < coverage.mean() < 1
+    np.testing.assert_array_equal(np.concatenate([albedo, normal], axis=-1), surface)
+    np.testing.assert_array_equal(coverage, distance[..., 3])
+    np.testing.assert_array_equal(distance_m, distance[..., 0])
 
 
 def test_rendering_does_not_load_torch() -> None:

@@ -7,6 +7,9 @@ import pytest
 from simgen.mesh import Model, Part
 from simgen.vegetation import (
     HEDGE_TRIANGLES_PER_M2,
+    NEAR_HEDGE_TRIANGLES,
+    NEAR_SHRUB_TRIANGLES,
+    NEAR_TREE_TRIANGLES,
     SHRUB_TRIANGLES,
     SPECIES,
     TREE_TRIANGLES,
@@ -23,6 +26,18 @@ PX_PER_M = 20
 
 def grown(species: str, lod: int = 0, seed: int = 0) -> Model:
     return tree(species, height_m=HEIGHT_M, lod=lod, rng=np.random.default_rng(seed))
+
+
+EYES = np.array([[-9.0, 3.0, 1.7]])
+
+
+def near(species: str, seed: int = 0) -> Model:
+    return tree(species, height_m=HEIGHT_M, lod=0, rng=np.random.default_rng(seed), eyes=EYES)
+
+
+def longest_edges(part: Part) -> np.ndarray:
+    a, b, c = corners(part).swapaxes(0, 1)
+    return np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], axis=0)
 
 
 def num_triangles(model: Model) -> int:
@@ -51,6 +66,33 @@ def side_view(part: Part) -> np.ndarray:
 @pytest.mark.parametrize("lod", [0, 1, 2])
 def test_trees_fill_their_triangle_budget_and_no_more(species, lod):
     assert num_triangles(grown(species, lod)) == TREE_TRIANGLES[lod]
+
+
+@pytest.mark.parametrize("species", SPECIES)
+def test_a_near_tree_has_the_leaves_of_its_kind_and_the_outline_of_a_far_one(species):
+    model, far = near(species), grown(species)
+    assert num_triangles(model) <= NEAR_TREE_TRIANGLES
+    assert np.median(longest_edges(model[-1])) < 0.8 * np.median(longest_edges(far[-1]))
+    spread = [np.percentile(m[-1].vertices, [0, 100], axis=0) for m in (model, far)]
+    np.testing.assert_allclose(*spread, atol=0.06 * HEIGHT_M)
+    assert 0.7 < side_view(model[-1]).sum() / side_view(far[-1]).sum() < 1.25
+
+
+def test_near_shrubs_and_hedges_keep_to_their_triangles():
+    rng = np.random.default_rng(0)
+    assert num_triangles(shrub(rng=rng, lod=0, eyes=EYES)) <= NEAR_SHRUB_TRIANGLES
+    (part,) = hedge(14.0, 1.8, 0.8, rng=rng, lod=0, eyes=np.array([[2.0, -4.0, 1.7]]))
+    far = HEDGE_TRIANGLES_PER_M2[0] * (2 * 14.8 * 1.8 + 14 * 0.8)
+    assert len(part.faces) < 1.1 * NEAR_HEDGE_TRIANGLES + far
+
+
+def test_leaves_of_a_hedge_are_smallest_where_it_is_nearest():
+    eyes = np.array([[-6.0, -3.0, 1.7]])
+    (part,) = hedge(16.0, 1.5, 0.7, rng=np.random.default_rng(0), lod=0, eyes=eyes)
+    middle = corners(part).mean(axis=1)
+    seen = middle[:, 1] < -0.1
+    near, far = (seen & (np.abs(middle[:, 0] - x) < 2) for x in (-6.0, 6.0))
+    assert np.median(longest_edges(part)[near]) < 0.8 * np.median(longest_edges(part)[far])
 
 
 @pytest.mark.parametrize("species", SPECIES)
