@@ -25,13 +25,9 @@ def fake_renderer(monkeypatch):
 
     def use(render_one: run.RenderOne) -> None:
         monkeypatch.setattr(rendering, "_render_one", lambda: render_one)
-        monkeypatch.setattr(rendering, "_start_worker", lambda: _start)
+        monkeypatch.setattr(rendering, "_start_worker", lambda: fakes.start)
 
     return use
-
-
-def _start(*_: object) -> None:
-    """Loads nothing."""
 
 
 def _paragraph(capsys: pytest.CaptureFixture[str]) -> str:
