@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 import tyro
@@ -28,7 +28,6 @@ from flowrect.config import (
     TrainOptions,
 )
 from flowrect.drectify import rectify, warp
-from flowrect.flow_network import FlowNetwork, load_flow
 from flowrect.loading import PairLoader
 from flowrect.losses import image_flow_loss, matching_loss, rotation_loss, vertical_flow_loss
 from flowrect.metrics import METRIC_WH, angles_deg, exact_vertical_flow, geodesic_deg
@@ -37,6 +36,9 @@ from flowrect.rivals.config import RIVALS
 from flowrect.sample import Batch
 from flowrect.weights import Card, find_weights, load_weights, save_weights, untrained
 from simgen.errors import UserError
+
+if TYPE_CHECKING:
+    from flowrect.flow_network import FlowNetwork
 
 OVERFIT_BAR_DEG = 0.02
 AnyOptions = TrainOptions | RivalOptions
@@ -96,6 +98,13 @@ def loss_terms(
     return terms
 
 
+def _raft(weights: str) -> FlowNetwork:
+    """The teacher. What it needs of torchvision, 2 s of every start, is loaded only here."""
+    from flowrect.flow_network import load_flow
+
+    return load_flow(weights)
+
+
 def _flow_of(teacher: FlowNetwork, left: Tensor, right: Tensor) -> Tensor:
     """The teacher's flow, wherever it runs, where the images are."""
     device = next(teacher.parameters()).device
@@ -140,7 +149,7 @@ class RectifierTask:
         if options.overfit:  # it asks what training reaches, which knows the first pass only
             self.model.passes = 1
         self.input_wh = options.model.input_wh
-        self._teacher = load_flow(options.flow_weights) if options.teacher == "raft" else None
+        self._teacher = _raft(options.flow_weights) if options.teacher == "raft" else None
 
     def require(self, batch: Batch) -> None:
         """Raises where the data lack what the losses need."""

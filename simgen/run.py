@@ -284,6 +284,8 @@ class Pool:
     initargs: tuple[Any, ...] = ()
     workers: int = 1
     recycle: int = 50
+    start_method: str = "spawn"
+    """of multiprocessing; a renderer shares no memory with what started it"""
 
 
 @dataclass
@@ -464,7 +466,7 @@ def _processes(pool: Pool) -> ProcessPool:
         max_workers=pool.workers,
         max_tasks=pool.recycle,
         initializer=_start_worker,
-        context=multiprocessing.get_context("spawn"),
+        context=multiprocessing.get_context(pool.start_method),
     )
 
 

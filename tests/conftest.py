@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-LONGEST = ("test_evaluate", "test_produce", "test_train", "test_world", "test_run", "test_onnx",
-           "test_flow_network", "test_matchers", "test_rivals", "test_drectify")  # fmt: skip
+LONGEST = ("test_produce", "test_world", "test_evaluate", "test_rivals", "test_daylight",
+           "test_matchers", "test_validate", "test_train", "test_flow_network", "test_onnx",
+           "test_run", "test_roads", "test_wetness", "test_crossings")  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

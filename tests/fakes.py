@@ -88,8 +88,8 @@ def _flow(depth: np.ndarray, K: np.ndarray, T: np.ndarray, a: int, b: int) -> np
 # --- workers -------------------------------------------------------------------------------------
 
 
-def start() -> None:
-    """An initializer that has nothing to load."""
+def start(*_: object) -> None:
+    """An initializer that has nothing to load, whatever it is told."""
 
 
 def cannot_start() -> None:

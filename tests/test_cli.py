@@ -19,6 +19,7 @@ from simgen.errors import UserError
 from simgen.shards import ShardSet
 
 SMALL = ["--size", "96x54", "--variant", "scalar_rgb"]
+ALONE = ["--workers", "1", *SMALL]
 
 
 @pytest.fixture
@@ -27,13 +28,9 @@ def fake_renderer(monkeypatch):
 
     def use(render_one: run.RenderOne) -> None:
         monkeypatch.setattr(rendering, "_render_one", lambda: render_one)
-        monkeypatch.setattr(rendering, "_start_worker", lambda: _start)
+        monkeypatch.setattr(rendering, "_start_worker", lambda: fakes.start)
 
     return use
-
-
-def _start(*_: object) -> None:
-    """Loads nothing."""
 
 
 def _paragraph(capsys: pytest.CaptureFixture[str]) -> str:
@@ -91,7 +88,7 @@ def test_as_many_workers_as_fit_render_if_nobody_says_how_many(
 
 def test_failed_frames_are_listed_and_the_status_is_1(tmp_path, capsys, fake_renderer):
     fake_renderer(fakes.reject_always)
-    assert cli.main(["render", "--n", "6", "--out", str(tmp_path / "set"), *SMALL]) == 1
+    assert cli.main(["render", "--n", "6", "--out", str(tmp_path / "set"), *ALONE]) == 1
     said = capsys.readouterr().err
     assert "Frame 1 is drawn again: attempt 0 is bad\n" in said
     assert "Frame 1 failed: attempt 2 is bad\n" in said
@@ -100,7 +97,7 @@ def test_failed_frames_are_listed_and_the_status_is_1(tmp_path, capsys, fake_ren
 
 def test_brackets_in_a_reason_are_printed_as_they_are(tmp_path, capsys, fake_renderer):
     fake_renderer(fakes.reject_first_attempt)
-    assert cli.main(["render", "--n", "6", "--out", str(tmp_path / "set"), *SMALL]) == 0
+    assert cli.main(["render", "--n", "6", "--out", str(tmp_path / "set"), *ALONE]) == 0
     assert "depth 7 (limit 3) [camera 0]; too dark\n" in capsys.readouterr().err
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,9 @@ def solid_angles() -> np.ndarray:
     return np.sqrt(1 - d[..., 2] ** 2) * (np.pi / SKY_HW[0]) * (2 * np.pi / SKY_HW[1])
 
 
+@cache
 def make(s: SkySpec) -> np.ndarray:
+    """Painted once, for all tests that only look at it."""
     return environment(s, rng=np.random.default_rng(0))
 
 

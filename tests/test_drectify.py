@@ -22,6 +22,7 @@ from flowrect.geometry import rotated, rotation_from_vector, swapped, unproject
 
 WH = (64, 36)
 NO_LENS = np.zeros(5)
+NUM_RIGS = 2000
 
 
 @dataclass(frozen=True)
@@ -98,12 +99,12 @@ def numpy_map(K: np.ndarray, R_rect: np.ndarray, K_new: np.ndarray) -> np.ndarra
 
 @pytest.mark.parametrize("vertical", [False, True])
 def test_rotations_and_intrinsics_are_those_of_stereo_rectify(vertical, worst):
-    pairs = rigs(2000, seed=1, vertical=vertical)
+    pairs = rigs(NUM_RIGS, seed=1, vertical=vertical)
     rect = pairs.rectify()
     assert (rect.vertical == vertical).all()
     name = "vertical" if vertical else "horizontal"
     for route, rotation_limit, px_limit in ((opencv, 1e-12, 1e-4), (numpy_twin, 1e-12, 1e-9)):
-        results = [route(*pairs.arrays(i)) for i in range(2000)]
+        results = [route(*pairs.arrays(i)) for i in range(NUM_RIGS)]
         R1, R2, K_new = (torch.as_tensor(np.stack(x)) for x in zip(*results, strict=True))
         label = f"{name} rigs, {route.__name__}"
         worst(f"R1, R2: {label}", rect.R_left - R1, rotation_limit, "")
@@ -113,10 +114,10 @@ def test_rotations_and_intrinsics_are_those_of_stereo_rectify(vertical, worst):
 
 @pytest.mark.parametrize("vertical", [False, True])
 def test_maps_are_those_of_init_undistort_rectify_map(vertical, worst):
-    pairs = rigs(2000, seed=2, vertical=vertical)
+    pairs = rigs(NUM_RIGS, seed=2, vertical=vertical)
     rect = pairs.rectify()
     maps = source_positions(pairs.K_right, rect.R_right, rect.K_new, WH).numpy()
-    for i in range(2000):
+    for i in range(NUM_RIGS):
         K, R_rect, K_new = (x[i].numpy() for x in (pairs.K_right, rect.R_right, rect.K_new))
         near = (np.abs(maps[i]) < 200).all(-1)  # cv2 returns float32
         expected = cv2.initUndistortRectifyMap(K, NO_LENS, R_rect, K_new, WH, cv2.CV_32FC2)[0]

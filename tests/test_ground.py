@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from simgen.recipe import (
     load_presets,
     load_recipe,
 )
-from simgen.roads import Surface
+from simgen.roads import Network, Surface
 from simgen.site import Site
 
 OPTICS = Optics(focal_px=80.0, hfov_rad=np.pi / 2, nearest_m=2.5)
@@ -32,6 +33,12 @@ def make_spec(name: str, scene: int = 3):
     sky = draw_sky(load_presets("daylight", DaylightTable), load_presets("weather", WeatherTable),
                    seed=seed)  # fmt: skip
     return draw_scene(name, load_recipe(name)[1], sky=sky, seed=seed)
+
+
+@cache
+def network_of(name: str, scene: int) -> Network:
+    """Built once, for all tests that only look at it."""
+    return roads.build(make_spec(name, scene))
 
 
 def area(surface: Surface) -> float:

@@ -53,11 +53,18 @@ def test_batches_do_not_depend_on_the_number_of_workers(pairs: Pairs[int]) -> No
     assert all(_equal(a, b) and _equal(a, c) for a, b, c in zip(here, one, two, strict=True))
 
 
+@pytest.fixture(scope="module")
+def whole(pairs: Pairs[int]) -> list[Batch]:
+    """Two epochs without an interruption, which do not depend on the number of workers."""
+    return _epochs(PairLoader(pairs, SIZING, COLOUR, FAST), 2)
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.parametrize("stop", [1, 3, 4])
-def test_resumed_order_is_the_uninterrupted_one(pairs: Pairs[int], workers: int, stop: int) -> None:
+def test_resumed_order_is_the_uninterrupted_one(
+    pairs: Pairs[int], whole: list[Batch], workers: int, stop: int
+) -> None:
     options = replace(FAST, workers=workers)
-    whole = _epochs(PairLoader(pairs, SIZING, COLOUR, options), 2)
     first = PairLoader(pairs, SIZING, COLOUR, options)
     seen, state = [], {}
     while len(seen) < stop:

@@ -29,7 +29,6 @@ from simgen.shards import Manifest, ShardSet
 from simgen.store import Source, assemble, content_sha256, stored_content, write_frame
 
 OPTIONS = RenderOptions(n=3, size="96x54", recipes="rural", daylight="noon", spp=1)
-AT_NIGHT_IN_RAIN = replace(OPTIONS, daylight="night", weather="rain")
 LORRY_IN_FOG = replace(OPTIONS, rig="truck", daylight="night", weather="fog")
 
 
@@ -63,11 +62,6 @@ def lorry(job: Job) -> tuple[Job, dict[str, object]]:
     return foggy, make_frame(foggy, 0, attempt=0)[0]
 
 
-def test_a_frame_does_not_depend_on_what_was_rendered_before(job, frames):
-    alone, _ = make_frame(job, 1, attempt=0)
-    assert content_sha256(alone) == content_sha256(frames[1])
-
-
 def _in_a_worker(jobs: list[Job], folder: Path) -> None:
     """Frame 0 of each job, as a worker of a run makes it."""
     start(engine.choose(jobs[0].variant), 1, jobs[0].wh)
@@ -75,19 +69,29 @@ def _in_a_worker(jobs: list[Job], folder: Path) -> None:
         render_frame_file(FrameTask(job, 0, 0, folder / f"{k}.h5"))
 
 
-def test_a_worker_renders_the_same_bits(job, frames, tmp_path):
-    wet = resolve(AT_NIGHT_IN_RAIN, job.variant)
-    child = multiprocessing.get_context("spawn").Process(
-        target=_in_a_worker, args=([job, wet], tmp_path)
-    )
+@pytest.fixture(scope="module")
+def by_a_worker(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Frame 0 by day and in fog at night, which are the first that a process renders."""
+    folder = tmp_path_factory.mktemp("worker")
+    jobs = [job, resolve(LORRY_IN_FOG, job.variant)]
+    child = multiprocessing.get_context("spawn").Process(target=_in_a_worker, args=(jobs, folder))
     child.start()
-    at_night = make_frame(wet, 0, attempt=0)[0]
     child.join()
     assert child.exitcode == 0
-    assert at_night["spec"]["rain"]["lens_drops"]
-    assert at_night["spec"]["samples"]["spp"] == 2 * frames[0]["spec"]["samples"]["spp"] == 2
-    assert stored_content(tmp_path / "0.h5") == content_sha256(frames[0])
-    assert stored_content(tmp_path / "1.h5") == content_sha256(at_night)
+    return folder
+
+
+def test_a_frame_does_not_depend_on_what_was_rendered_before(frames, by_a_worker):
+    """Here frame 1 was."""
+    assert stored_content(by_a_worker / "0.h5") == content_sha256(frames[0])
+
+
+def test_a_worker_renders_the_same_bits(frames, lorry, by_a_worker):
+    by_day, at_night = frames[0], lorry[1]
+    assert by_day["spec"]["rain"]["lens_drops"]
+    assert at_night["spec"]["samples"]["spp"] == 2 * by_day["spec"]["samples"]["spp"] == 2
+    assert stored_content(by_a_worker / "0.h5") == content_sha256(by_day)
+    assert stored_content(by_a_worker / "1.h5") == content_sha256(at_night)
 
 
 def test_another_seed_or_index_is_another_frame(job, frames):

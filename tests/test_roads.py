@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 import pytest
-from test_ground import make_spec
+from test_ground import make_spec, network_of
 
 from simgen import roads
 from simgen.recipe import recipe_names
@@ -17,7 +17,7 @@ from simgen.site import Site
 @pytest.mark.parametrize("name", recipe_names())
 @pytest.mark.parametrize("scene", [1, 2])
 def test_the_rig_drives_along_x_through_the_origin(name, scene):
-    network = roads.build(make_spec(name, scene))
+    network = network_of(name, scene)
     point, heading = at_station(network.rig_lane.centre, network.rig_station)
     np.testing.assert_allclose(point, 0.0, atol=1e-9)
     assert abs(float(heading)) < 1e-9
@@ -27,7 +27,7 @@ def test_the_rig_drives_along_x_through_the_origin(name, scene):
 @pytest.mark.parametrize("name", recipe_names())
 def test_traffic_drives_on_the_right(name):
     """Beside the rig, oncoming lanes are on its left and run against it; its own run with it."""
-    network = roads.build(make_spec(name, 2))
+    network = network_of(name, 2)
     for lane in network.driving:
         if lane.road != network.rig_lane.road:
             continue
@@ -42,7 +42,7 @@ def test_traffic_drives_on_the_right(name):
 
 @pytest.mark.parametrize("name", recipe_names())
 def test_lanes_lie_on_the_ground(name):
-    network = roads.build(make_spec(name, 2))
+    network = network_of(name, 2)
     site = Site(network)
     for lane in network.lanes[:8]:
         points = roads.resampled(lane.centre, 5.0)[1:-1]
@@ -54,7 +54,7 @@ def test_lanes_lie_on_the_ground(name):
 @pytest.mark.parametrize("scene", range(1, 6))
 def test_pavements_meet_at_junctions_without_a_step(scene):
     """Else one looks through the crack between an arm's pavement and the corner's."""
-    network = roads.build(make_spec("urban", scene))
+    network = network_of("urban", scene)
     site = Site(network)
     for lane in network.lanes:
         if lane.kind == "sidewalk" and lane.in_junction:
@@ -65,7 +65,7 @@ def test_pavements_meet_at_junctions_without_a_step(scene):
 
 
 def test_kerbs_lift_the_pavement():
-    network = roads.build(make_spec("urban", 1))
+    network = network_of("urban", 1)
     walk = next(x for x in network.lanes if x.kind == "sidewalk" and not x.in_junction)
     beside = walk.offset(walk.width / 2 + 0.4)
     site = Site(network)
@@ -75,7 +75,7 @@ def test_kerbs_lift_the_pavement():
 
 def test_the_land_has_no_hole_near_the_rig():
     for name in recipe_names():
-        site = Site(roads.build(make_spec(name, 4)))
+        site = Site(network_of(name, 4))
         grid = np.stack(np.meshgrid(np.arange(-200, 500, 9.7), np.arange(-300, 300, 9.7)), axis=-1)
         assert not np.isnan(site.height(grid.reshape(-1, 2))).any()
 
@@ -94,7 +94,7 @@ def test_offset_is_to_the_left():
 
 
 def test_same_spec_same_network():
-    a, b = (roads.build(make_spec("urban", 5)) for _ in range(2))
+    a, b = network_of("urban", 5), roads.build(make_spec("urban", 5))
     for name in roads.SURFACES:
         np.testing.assert_array_equal(a.surfaces[name].vertices, b.surfaces[name].vertices)
     assert len(a.buildings) == len(b.buildings)
@@ -128,7 +128,7 @@ def test_what_else_roadgen_says_is_passed_on(capfd, error):
 
 
 def test_taken_places_stay_taken():
-    site = Site(roads.build(make_spec("rural", 1)))
+    site = Site(network_of("rural", 1))
     assert site.claim([(5.0, 5.0, 1.0)])
     assert not site.claim([(6.5, 5.0, 0.6)])
     assert site.claim([(7.0, 5.0, 0.6)])

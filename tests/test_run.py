@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -45,9 +46,11 @@ def _render(
     split: str = "all",
     initializer: Any = fakes.start,
     recycle: int = 50,
+    start_method: str = "forkserver",
     **hooks: Any,
 ) -> Manifest:
-    """What ``simgen render`` does, with a fake renderer."""
+    """What ``simgen render`` does, with a fake renderer, in workers that begin in no time."""
+    multiprocessing.set_forkserver_preload(["simgen.run"])
     job = job or FakeJob(marks=path.parent)
     folder = SetFolder(path)
     folder.check_is_ours()
@@ -55,7 +58,7 @@ def _render(
         manifest = folder.open_manifest(job.content(), 3, num_frames * PAIRS_PER_FRAME)
         return render_set(
             job, _plan(num_frames, split), folder, manifest,
-            Pool(render_one, initializer, (), workers, recycle),
+            Pool(render_one, initializer, (), workers, recycle, start_method),
             attributes={"schema_version": 1, "config": json.dumps(job.content())},
             compression=job.compression, progress=Progress(**hooks),
         )  # fmt: skip
@@ -208,6 +211,7 @@ import test_run
 if __name__ == "__main__":
     path = Path(sys.argv[1])
     test_run._render(path, int(sys.argv[3]), getattr(fakes, sys.argv[2]),
+                     start_method="spawn",  # as a renderer's
                      frame_done=lambda result: print(result.index, flush=True))
 """
 

@@ -100,7 +100,7 @@ def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(
 
 
 def test_a_finished_run_trains_no_further(data, tmp_path):
-    options = training(data, tmp_path)
+    options = training(data, tmp_path, max_steps=1)
     scores = train.train(options)
     before = rows(tmp_path)
     assert train.train(options) == scores
@@ -250,27 +250,28 @@ def test_training_starts_from_given_weights(data, tmp_path):
 
 
 def test_other_options_do_not_resume(data, tmp_path):
-    train.train(training(data, tmp_path))
+    train.train(training(data, tmp_path, max_steps=1))
     with pytest.raises(UserError, match=r"other options: lr was 0\.0005, now 0\.1"):
-        train.train(training(data, tmp_path, lr=0.1))
+        train.train(training(data, tmp_path, max_steps=1, lr=0.1))
 
 
 def test_another_division_of_the_pairs_does_not_resume(data, tmp_path):
-    train.train(training(data, tmp_path))
+    train.train(training(data, tmp_path, max_steps=1))
     with pytest.raises(UserError, match="val_pairs was 3, now 6"):
-        train.train(training(data, tmp_path, val_pairs=6))
+        train.train(training(data, tmp_path, max_steps=1, val_pairs=6))
 
 
 def test_other_pairs_do_not_resume(data, tmp_path):
-    train.train(training(data, tmp_path / "run"))
+    train.train(training(data, tmp_path / "run", max_steps=1))
     larger = road_set(tmp_path / "set", frames=6)
     with pytest.raises(UserError, match="belongs to a run on other pairs"):
-        train.train(training(larger, tmp_path / "run"))
+        train.train(training(larger, tmp_path / "run", max_steps=1))
 
 
 def test_the_number_of_workers_may_change(data, tmp_path):
-    scores = train.train(training(data, tmp_path))
-    assert train.train(training(data, tmp_path, loading=Loading(batch=2, workers=1))) == scores
+    options = training(data, tmp_path, max_steps=1)
+    scores = train.train(options)
+    assert train.train(replace(options, loading=Loading(batch=2, workers=1))) == scores
 
 
 @pytest.mark.parametrize("name", ["val_pairs", "val_every", "accumulate"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -36,6 +37,7 @@ def maps():
     spec = make_spec("urban")
     site = Site(roads.build(spec))
 
+    @cache
     def rings(wetness, rain_mm_h=0.0):
         wet = replace(spec, sky=replace(spec.sky, wetness=wetness, rain_mm_h=rain_mm_h))
         return ground.build(site, wet, [], np.eye(4), OPTICS, far_low=-FAR, far_high=FAR)
@@ -133,7 +135,7 @@ def test_dry_ground_knows_no_rain(maps):
 
 
 def test_same_seed_same_water(maps):
-    for a, b in zip(maps(0.8), maps(0.8), strict=True):
+    for a, b in zip(maps(0.9), maps.__wrapped__(0.9), strict=True):
         np.testing.assert_array_equal(a.image, b.image)
         np.testing.assert_array_equal(a.roughness, b.roughness)
 

@@ -15,7 +15,7 @@ from simgen import mesh, world
 from simgen.ground import Optics
 from simgen.layout import Mover
 from simgen.mesh import Part
-from simgen.recipe import recipe_names
+from simgen.recipe import SceneSpec, recipe_names
 from simgen.scene import World
 from simgen.schema import LABELS
 from simgen.site import Site
@@ -24,11 +24,24 @@ OPTICS = Optics(focal_px=48.0, hfov_rad=np.pi / 2, nearest_m=2.5)
 VEHICLES = {LABELS[n] for n in ("car", "truck", "bus", "motorcycle", "trailer")}
 
 
+NUM_STEPS = 12
+AT_NIGHT = "suburban"
+"""by day are the others"""
+
+
 @cache
-def scene_of(recipe: str) -> tuple[World, Site, world.Drive]:
-    """One world of each recipe, for all tests that only look at it."""
+def spec_of(recipe: str) -> SceneSpec:
     spec = make_spec(recipe, 7)
-    drive = world.drive(spec, 0)
+    if recipe != AT_NIGHT:
+        return spec
+    return replace(spec, sky=replace(spec.sky, daylight="night", sun_elevation_deg=-12.0))
+
+
+@cache
+def scene_of(recipe: str, step: int = 0) -> tuple[World, Site, world.Drive]:
+    """One world of each recipe, for all tests that only look at it, at a step of a drive."""
+    spec = spec_of(recipe)
+    drive = world.drive(spec, step, num_steps=NUM_STEPS)
     return world.build(spec, drive, OPTICS), Site(drive.network), drive
 
 
@@ -116,9 +129,8 @@ def test_no_horizon_is_empty(built):
 
 
 def test_same_spec_same_world():
-    a, *_ = scene_of("suburban")
-    spec = make_spec("suburban", 7)
-    b = world.build(spec, world.drive(spec, 0), OPTICS)
+    """Built twice, for the first and the last step of a drive: it does not depend on that."""
+    (a, *_), (b, *_) = (scene_of("urban", step) for step in (0, NUM_STEPS - 1))
     assert len(a.parts) == len(b.parts)
     for p, q in zip(a.parts, b.parts, strict=True):
         np.testing.assert_array_equal(p.vertices, q.vertices)
@@ -131,27 +143,25 @@ def test_a_town_shows_many_classes():
 
 
 def test_lamps_burn_at_night_only():
-    day, *_ = scene_of("urban")
-    spec = make_spec("urban", 7)
-    dark = replace(spec, sky=replace(spec.sky, daylight="night", sun_elevation_deg=-12.0))
-    night = world.build(dark, world.drive(dark, 0), OPTICS)
-    assert not day.lamps
-    assert len(night.lamps) > 4  # those of the rig are four
+    dark, *_ = scene_of(AT_NIGHT)
+    assert len(dark.lamps) > 4  # those of the rig are four
+    for recipe in set(recipe_names()) - {AT_NIGHT}:
+        assert not scene_of(recipe)[0].lamps
 
 
 def test_all_frames_of_a_drive_show_the_same_scene():
     """What stands where does not depend on the rig, which drives on over the junction."""
-    spec = make_spec("urban", 2)
-    drives = [world.drive(spec, step, num_steps=12) for step in (0, 11)]
-    first, last = (world.build(spec, drive, OPTICS) for drive in drives)
+    (first, _, start), (last, _, end) = (scene_of("urban", step) for step in (0, NUM_STEPS - 1))
     assert last.movers == first.movers
     for a, b in zip(first.parts, last.parts, strict=True):
         assert (a.material, a.instance) == (b.material, b.instance)
         np.testing.assert_array_equal(a.vertices, b.vertices)
-    way = np.array([d.T_world_vehicle[:3, 3] for d in drives])
+    way = np.array([d.T_world_vehicle[:3, 3] for d in (start, end)])
     assert np.linalg.norm(way[1] - way[0]) == pytest.approx(33.0, abs=1.0)
+    ahead = [(centre - way[0]) @ (way[1] - way[0]) / 33.0 for centre in start.network.junctions]
+    assert 0 < min(ahead) < 33.0  # it was passed
     boxes = [np.array(m["xyz"][:2]) for m in first.movers]
-    nearest = min(np.linalg.norm(drives[0].way[:, :2] - xy, axis=1).min() for xy in boxes)
+    nearest = min(np.linalg.norm(start.way[:, :2] - xy, axis=1).min() for xy in boxes)
     assert nearest > 2.0
 
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from flowrect.evaluation import stamp
-from flowrect.flow_network import load_flow
 from flowrect.losses import across_epipolar_lines
 from flowrect.matches import Matcher
 from flowrect.sample import Image
@@ -115,6 +114,8 @@ class VerticalFlow:
     @staticmethod
     def by(name: str, path: Path) -> VerticalFlow:
         """By the network of ``load_flow``; UserError if there is none of that name."""
+        from flowrect.flow_network import load_flow  # needs torchvision, 2 s of every start
+
         network = load_flow(name)
         weights = digest(*(x.numpy() for x in network.state_dict().values()))
         return VerticalFlow(network.flow, weights, Memory(path))
