@@ -59,7 +59,7 @@ def test_a_job_is_the_inverse_of_its_content():
 def test_the_content_states_the_samples_by_day_and_night():
     content = _job(spp=8).content()
     assert content["samples"] == {
-        "day_spp": 8, "night_spp": 16, "features_spp": 8, "max_depth": 4
+        "day_spp": 8, "night_spp": 16, "features_spp": 16, "max_depth": 4
     }  # fmt: skip
     del content["samples"]  # as in sets of older versions
     assert Job.from_content(content) == _job(spp=8)

@@ -562,7 +562,7 @@ def test_other_shard_sizes_and_versions_are_refused(tmp_path, monkeypatch):
 
 def test_other_versions_of_what_decides_pixels_are_refused(tmp_path, monkeypatch):
     folder = SetFolder(tmp_path)
-    config = {"seed": 0, "samples": {"night_spp": 4}}
+    config = {**FakeJob().content(), "samples": {"night_spp": 4}}
     folder.open_manifest(config, 16, 9)
     assert set(Manifest.load(tmp_path).versions) == {
         "mitsuba", "drjit", "pyoidn", "roadgen", "numpy", "opencv-python-headless"
@@ -577,10 +577,11 @@ def test_other_versions_of_what_decides_pixels_are_refused(tmp_path, monkeypatch
 
 def test_a_set_of_another_rule_for_samples_or_of_none_is_refused(tmp_path):
     folder = SetFolder(tmp_path)
-    fresh = folder.open_manifest({"seed": 0, "samples": {"night_spp": 4}}, 16, 9)
+    config = FakeJob().content()
+    fresh = folder.open_manifest({**config, "samples": {"night_spp": 4}}, 16, 9)
     with pytest.raises(UserError, match=r"samples\.night_spp: the folder has 4, you asked for 8"):
-        folder.open_manifest({"seed": 0, "samples": {"night_spp": 8}}, 16, 9)
-    replace(fresh, config={"seed": 0}, versions={}).save(tmp_path)  # as older versions left it
+        folder.open_manifest({**config, "samples": {"night_spp": 8}}, 16, 9)
+    replace(fresh, config=config, versions={}).save(tmp_path)  # as older versions left it
     with pytest.raises(UserError, match=r"options: samples: not in the folder; versions: not in"):
         folder.open_manifest(fresh.config, 16, 9)
 
