@@ -98,7 +98,8 @@ def main(args: Sequence[str] | None = None) -> int:
         try:
             return _run(args)
         finally:
-            sys.stdout.flush()  # at exit, it would be too late to catch what this raises
+            if sys.stdout:  # not closed by who started this
+                sys.stdout.flush()  # at exit, it would be too late to catch what this raises
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141

@@ -52,6 +52,8 @@ from simgen.versions import versions
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 """of glibc's malloc.h"""
+LARGEST_INT, LARGEST_KEPT_BEFORE_2_35 = (1 << 31) - 1, 32 << 20
+"""what mallopt can be told, and what older versions of glibc accept as M_MMAP_THRESHOLD"""
 KEPT_BYTES = 24
 """of a block per pixel of an image, up to which memory is kept: three planes of 64 bits"""
 SMALL_BLOCK = 1 << 20
@@ -408,8 +410,10 @@ def _keep_memory_flat(largest_kept: int) -> None:
     if platform.libc_ver()[0] == "glibc":
         libc = ctypes.CDLL(None)
         libc.mallopt(M_ARENA_MAX, 1)
-        libc.mallopt(M_MMAP_THRESHOLD, largest_kept)
-        libc.mallopt(M_TRIM_THRESHOLD, 8 * largest_kept)
+        for threshold in (largest_kept, LARGEST_KEPT_BEFORE_2_35):
+            if libc.mallopt(M_MMAP_THRESHOLD, min(threshold, LARGEST_INT)):
+                break
+        libc.mallopt(M_TRIM_THRESHOLD, min(8 * largest_kept, LARGEST_INT))
 
 
 def render_frame_file(task: FrameTask) -> FrameResult:
