@@ -31,7 +31,7 @@ BESIDE_M = 260.0
 AT_HAND_M = 15.0
 CLOSE_M = 28.0
 """Plants up to that far have single leaves, for a 90° lens."""
-CLOSE_TRIANGLES = 440_000
+CLOSE_TRIANGLES = 400_000
 """of plants that close, those beyond AT_HAND_M at most half; more plants are less detailed"""
 CLOSE_BEHIND_M = 3.0
 """Crowns that far behind the rig reach into no image."""

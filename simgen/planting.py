@@ -122,7 +122,7 @@ def _rise(layout: Layout, xy: Array, radius_m: float) -> float:
 
 FINE_TREE_M = 50.0
 """Trees up to that far are as detailed as they get without single leaves."""
-MAX_TREE_TRIANGLES = 400_000
+MAX_TREE_TRIANGLES = 320_000
 """of trees that are individuals without single leaves; in a dense wood all further ones are a level
 coarser"""
 FAR = 2

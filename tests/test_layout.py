@@ -92,9 +92,8 @@ def test_single_leaves_end_with_distance_and_with_their_triangles():
 def test_plants_further_away_leave_half_the_triangles_to_those_at_hand():
     here = layout(DRIVE[:1])
     at_hand, beyond = np.array([[AT_HAND_M - 1, 0.0]]), np.array([[CLOSE_M - 1, 0.0]])
-    plant = [part(*box((1, 1, 1), (0, 0, 0)), "leaf", 21)] * (CLOSE_TRIANGLES // 24)
+    plant = [part(*box((1, 1, 1), (0, 0, 0)), "leaf", 21)] * (CLOSE_TRIANGLES // 24 + 1)
     here.spend_close(plant, here.close_eyes(beyond))
-    here.spend_close(plant[:1], here.close_eyes(beyond))
     assert here.close_eyes(beyond) is None
     here.spend_close(plant, here.close_eyes(at_hand))
     assert here.close_eyes(at_hand) is None
