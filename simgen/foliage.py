@@ -26,10 +26,15 @@ UP = np.array([0.0, 0.0, 1.0])
 CLUSTER_WIDTH = 0.5
 """of a cluster's length"""
 TWIG = np.array([0.075, 0.055, 0.035])
-FINE_RAD = 0.007
-"""length of the smallest leaves worth their triangles, as an angle: 9 px of 90° on 2560 px"""
+FINE_RAD = 0.0055
+"""length of the smallest leaves worth their triangles, as an angle: 7 px of 90° on 2560 px"""
 LOBED_RAD = 0.011
 """Leaves that look longer than that are given four triangles."""
+FILLED, FILLED_TRIANGLES = 0.35, 0.15
+"""share of the area of leaves that lies in large dark ones within the clumps, and of the triangles
+spent on them, where the triangles do not suffice for single leaves all through"""
+FILLED_RIM = 0.5
+"""how far out they lie, of the clumps' size"""
 HIDDEN = -0.35
 """cosine between the directions to the eye and to a clump, both from the middle of the crown, from
 which on the clump is behind the others"""
@@ -81,13 +86,17 @@ class Clumps:
 
 
 def clusters(
-    clumps: Clumps, num: int, cover: float, droop: float, leaf: ArrayLike, rng: np.random.Generator
-) -> Part:
-    """``num`` triangles over the clumps, of ``cover`` times the clumps' cross-section in area."""
+    clumps: Clumps, num: int, cover: float, droop: float, leaf: ArrayLike,
+    rng: np.random.Generator, *, rim: float = 1.0,
+) -> Part:  # fmt: skip
+    """``num`` triangles over the clumps, of ``cover`` times the clumps' cross-section in area.
+
+    They reach out to ``rim`` of the clumps' size.
+    """
     area = clumps.cross_section
     clump_color = np.asarray(leaf) * tint(clumps.center, rng)
     owner = np.searchsorted(np.cumsum(area) / area.sum(), (np.arange(num) + 0.5) / num)
-    radius = rng.uniform(0.15, 1.0, (num, 1)) ** 0.6
+    radius = rim * rng.uniform(0.15, 1.0, (num, 1)) ** 0.6
     offset = _offsets(clumps, owner, radius, rng)
     # Large dark leaves inside stop the light, small bright ones outside draw the outline.
     scale = (1.9 - 1.2 * radius[:, 0]) * rng.uniform(0.7, 1.3, num)
@@ -147,15 +156,18 @@ def near_leaves(
 ) -> Part:
     """Sprays where the ``eyes`` (E, 3) see them, clusters behind, within ``budget`` triangles."""
     area = leaf.area * leaf_length_m(leaf, clumps.center, eyes) ** 2
-    num_leaves = (cover * clumps.cross_section / area).sum()
-    seen = _facing(clumps, eyes) | (leaf.num_triangles * num_leaves < 0.8 * budget)
+    num_leaves = cover * clumps.cross_section / area
+    seen = _facing(clumps, eyes) | (leaf.num_triangles * num_leaves.sum() < 0.8 * budget)
     behind = clumps[~seen]
     share = behind.cross_section.sum() / clumps.cross_section.sum()
     num_clusters = int(0.2 * share * budget)
-    near = _sprays(clumps[seen], eyes, budget - num_clusters, leaf, cover, droop, color, rng)
-    if not num_clusters:
-        return near
-    return merged([near, clusters(behind, num_clusters, cover, droop, color, rng)])
+    parts = [clusters(behind, num_clusters, cover, droop, color, rng)] if num_clusters else []
+    budget -= num_clusters
+    if leaf.num_triangles * num_leaves[seen].sum() > budget:
+        num_inside = int(FILLED_TRIANGLES * budget)
+        budget, cover, filled = budget - num_inside, (1 - FILLED) * cover, FILLED * cover
+        parts.append(clusters(clumps[seen], num_inside, filled, droop, color, rng, rim=FILLED_RIM))
+    return merged([_sprays(clumps[seen], eyes, budget, leaf, cover, droop, color, rng), *parts])
 
 
 def _facing(clumps: Clumps, eyes: Array) -> NDArray[np.bool_]:

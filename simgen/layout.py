@@ -28,10 +28,11 @@ BEHIND_M = -30.0
 """What stands further behind the rig is left out: neither seen nor casting a shadow in view."""
 AHEAD_M = 430.0
 BESIDE_M = 260.0
-CLOSE_M = 15.0
+AT_HAND_M = 15.0
+CLOSE_M = 28.0
 """Plants up to that far have single leaves, for a 90° lens."""
-CLOSE_TRIANGLES = 200_000
-"""of plants that near; further ones are as detailed as if they were further away"""
+CLOSE_TRIANGLES = 400_000
+"""of plants that close, those beyond AT_HAND_M at most half; more plants are less detailed"""
 CLOSE_BEHIND_M = 3.0
 """Crowns that far behind the rig reach into no image."""
 EYE_M = 1.7
@@ -106,8 +107,8 @@ class Layout:
         """by species and number, likewise"""
         self.tree_triangles = 0
         """of trees that are individuals, so far"""
-        self.close_triangles = 0
-        """of plants with single leaves, so far"""
+        self.close_triangles, self.close_triangles_beyond = 0, 0
+        """of plants with single leaves, so far: of all, and of those beyond AT_HAND_M"""
         self.wires: list[Array] = []
         """(N, 2, 3) pieces of the wires over the scene, so far, from point to point"""
         self.crossing = crossing
@@ -142,13 +143,23 @@ class Layout:
         outline = np.asarray(points, dtype=np.float64)[:, :2]
         nearest = outline[np.argmin(self.distance(outline))]
         ahead = ((nearest - self.way) * self._ahead[0]).sum(axis=1).max()
+        ring = self.lod(nearest, AT_HAND_M, CLOSE_M)
         spent = self.close_triangles >= CLOSE_TRIANGLES
-        if spent or ahead < -CLOSE_BEHIND_M or self.lod(nearest, CLOSE_M) > 0:
+        spent |= ring == 1 and self.close_triangles_beyond >= CLOSE_TRIANGLES // 2
+        if spent or ahead < -CLOSE_BEHIND_M or ring == 2:
             return None
         offset = (self.way - outline.mean(axis=0)) / self.zoom
         c, s = np.cos(heading), np.sin(heading)
         turned = offset @ np.array([[c, -s], [s, c]])
         return np.column_stack([turned, np.full(len(turned), EYE_M)])
+
+    def spend_close(self, model: Model, eyes: Array | None) -> None:
+        """Counts the triangles of a plant that has single leaves, seen from ``eyes``."""
+        if eyes is not None:
+            num = sum(len(p.faces) for p in model)
+            self.close_triangles += num
+            if np.linalg.norm(eyes[:, :2], axis=1).min() > AT_HAND_M:
+                self.close_triangles_beyond += num
 
     def in_view(self, xy: Array) -> bool:
         """Whether something at ``xy`` can matter for an image."""

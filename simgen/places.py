@@ -1,9 +1,10 @@
 """Which place of its sheet each surface shows: two that are seen show two, as far as sheets go.
 
-A sheet is a square of 32 m that continues on its opposite sides, and all walls of a material share
-it. Walls are therefore cut into *panels* no larger than a sheet, each panel shows a *place*: a
-rectangle of the sheet, as it is or mirrored. Places are dealt out so that they overlap least, what
-is near the rig before what is far away. Mirrored walls are no copies of those that are not.
+A sheet is a square of 32 m (bark: 16 m) that continues on its opposite sides, and all walls of a
+material, or all trunks, share it. Walls are therefore cut into *panels* no larger than a sheet,
+each panel shows a *place*: a rectangle of the sheet, as it is or mirrored. Places are dealt out so
+that they overlap least, what is near the rig before what is far away. Mirrored walls are no copies
+of those that are not. Limbs are many and thin: they lie anywhere.
 
 Courses of all walls repeat every ``sheets.RISE_M`` up a sheet, their blocks do not: panels whose
 places are whole rises apart continue each other's courses.
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simgen.massing import Massing
-from simgen.sheets import RISE_M, WALL_M
+from simgen.sheets import BARK_M, RISE_M, WALL_M
 from simgen.solids import Frame
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 CELL_M = 0.8
 """Places are whole cells of a sheet."""
 CELLS = round(WALL_M / CELL_M)
+BARK_CELLS = round(BARK_M / CELL_M)
 CELLS_PER_RISE = round(RISE_M / CELL_M)
 EYE_M = 3.0
 """Height above the start of the road from which nothing more is seen than from the cameras'."""
@@ -75,12 +77,13 @@ class Places:
         weight = self._weight(frame, np.array([(left + right) / 2, (bottom + top) / 2, 0.0]),
                               (right - left) / 2)  # fmt: skip
         below = int(np.floor(bottom / CELL_M))  # in cells, so that v is whole cells at y = 0
-        width = min(int(np.ceil((right - left) / CELL_M)), CELLS)
-        height = min(int(np.ceil(top / CELL_M)) - below, CELLS)
-        rows = np.arange(CELLS)
+        n = cells_of(material)
+        width = min(int(np.ceil((right - left) / CELL_M)), n)
+        height = min(int(np.ceil(top / CELL_M)) - below, n)
+        rows = np.arange(n)
         if phase is not None:
-            rows = np.arange(CELLS // CELLS_PER_RISE) * CELLS_PER_RISE + phase + below
-        rows = rows % CELLS
+            rows = np.arange(n // CELLS_PER_RISE) * CELLS_PER_RISE + phase + below
+        rows = rows % n
         mirrored, row, column = self._dealt(material, rows, (height, width), weight)
         v = float((row - below) * CELL_M)
         if mirrored:
@@ -126,20 +129,26 @@ class Places:
         self, material: str, rows: NDArray[np.int64], hw: tuple[int, int], weight: float
     ) -> tuple[bool, int, int]:
         """Takes one of the least taken places that begin in one of the rows."""
+        n = cells_of(material)
         if weight == 0:
-            pick = int(self._rng.integers(2 * len(rows) * CELLS))
-            side, row = divmod(pick // CELLS, len(rows))
-            return bool(side), int(rows[row]), pick % CELLS
-        taken = self._taken.setdefault(material, np.zeros((2, CELLS, CELLS)))
+            pick = int(self._rng.integers(2 * len(rows) * n))
+            side, row = divmod(pick // n, len(rows))
+            return bool(side), int(rows[row]), pick % n
+        taken = self._taken.setdefault(material, np.zeros((2, n, n)))
         cost = _box_sums(taken, hw)[:, rows]
         cost -= 1e-9 * _touching(taken, hw)[:, rows]  # edge to edge leaves the largest rest
         cost += 1e-10 * self._rng.random(cost.shape)
         side, i, column = (int(k) for k in np.unravel_index(np.argmin(cost), cost.shape))
         height, width = hw
-        down = (rows[i] + np.arange(height)) % CELLS
-        across = (column + np.arange(width)) % CELLS
+        down = (rows[i] + np.arange(height)) % n
+        across = (column + np.arange(width)) % n
         taken[side, down[:, None], across] += weight
         return bool(side), int(rows[i]), column
+
+
+def cells_of(material: str) -> int:
+    """How many cells a side of the sheet of a material has."""
+    return BARK_CELLS if material == "bark" else CELLS
 
 
 def _eyes(way: Array) -> list[tuple[float, ...]]:
@@ -165,7 +174,8 @@ def _cross(a: Array, b: Array) -> Array:
 
 def _touching(taken: Array, hw: tuple[int, int]) -> Array:
     """(L, N, N) how many taken cells lie within or right beside the box at each cell."""
-    around = min(hw[0] + 2, CELLS), min(hw[1] + 2, CELLS)
+    n = taken.shape[1]
+    around = min(hw[0] + 2, n), min(hw[1] + 2, n)
     return np.roll(_box_sums((taken > 0).astype(np.float64), around), 1, axis=(1, 2))
 
 

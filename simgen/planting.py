@@ -10,8 +10,10 @@ from simgen import vegetation
 from simgen.geometry import Array
 from simgen.layout import Layout, Placed, along, edges, sunk
 from simgen.mesh import Model, placed
+from simgen.places import Place
 from simgen.roads import offset_line, resampled
 from simgen.sheets import BARK_M
+from simgen.solids import upright
 
 
 def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, float],
@@ -26,29 +28,45 @@ def _tree(layout: Layout, xy: Array, rng: np.random.Generator, mix: dict[str, fl
     height, clear_m = _fitted(layout, species, height, xy)
     if height < MIN_SHARE * low or not layout.site.claim([(*xy[:2], 0.9)]):
         return []
-    lod: int = layout.lod(xy)
+    lod: int = layout.lod(xy, FINE_TREE_M)
     if lod < FAR and layout.tree_triangles > MAX_TREE_TRIANGLES:
         lod += 1
-    heading = float(rng.uniform(0, 2 * np.pi))
+    heading, own = float(rng.uniform(0, 2 * np.pi)), _own(rng)
     eyes = layout.close_eyes(xy[None], heading)
     if lod < FAR or clear_m or eyes is not None:
         model = vegetation.tree(
-            species, height_m=height, lod=lod, rng=rng, clear_m=clear_m, eyes=eyes
+            species, height_m=height, lod=lod, rng=own, clear_m=clear_m, eyes=eyes
         )
     else:
-        model = _far_tree(layout, species, height, rng)
-    num = sum(len(p.faces) for p in model)
-    layout.tree_triangles += num if lod < FAR else 0
-    layout.close_triangles += 0 if eyes is None else num
-    model = _own_bark(model, rng)
+        model = _far_tree(layout, species, height, own)
+    if lod < FAR and eyes is None:
+        layout.tree_triangles += sum(len(p.faces) for p in model)
+    layout.spend_close(model, eyes)
+    place = _bark_place(layout, species, height, xy, own)
+    model = [
+        p if p.uv is None else replace(p, uv=place.uv(p.uv.astype(np.float64)).astype(np.float32))
+        for p in model
+    ]
     return sunk(layout.stand(model, xy, heading), SUNK_M)
 
 
-def _own_bark(model: Model, rng: np.random.Generator) -> Model:
-    """The model with its bark from elsewhere on the sheet, mirrored or not."""
-    offset, side = rng.uniform(0, BARK_M, 2), (rng.choice([-1.0, 1.0]), 1.0)
-    return [p if p.uv is None else replace(p, uv=(p.uv * side + offset).astype(np.float32))
-            for p in model]  # fmt: skip
+def _own(rng: np.random.Generator) -> np.random.Generator:
+    """One for a single plant, so that its detail does not decide what comes after it."""
+    return np.random.default_rng(rng.integers(1 << 62))
+
+
+def _bark_place(
+    layout: Layout, species: str, height_m: float, xy: Array, rng: np.random.Generator
+) -> Place:
+    """Where on the sheet the bark of a tree lies: that of its trunk is the tree's own."""
+    if vegetation.SPECIES[species].trunk is not None:  # but for limbs, which are scattered anyway
+        u, v = rng.uniform(0, BARK_M, 2).tolist()
+        return Place(u, v, bool(rng.random() < 0.5))
+    foot = np.array([*xy[:2], float(layout.site.height(xy[:2])[0])])
+    to_rig = layout.way[np.argmin(np.linalg.norm(layout.way - xy[:2], axis=1))] - xy[:2]
+    girth, length = vegetation.trunk_m(species, height_m)
+    frame = upright(foot, to_rig / max(np.linalg.norm(to_rig), 1e-9))
+    return layout.places.take("bark", frame, (0.0, 0.0, girth, length))
 
 
 SUNK_M = 0.08
@@ -102,8 +120,11 @@ def _rise(layout: Layout, xy: Array, radius_m: float) -> float:
     return float(np.nanmax(z) - z[0])
 
 
-MAX_TREE_TRIANGLES = 500_000
-"""of trees that are individuals; in a dense wood all further ones are a level coarser"""
+FINE_TREE_M = 50.0
+"""Trees up to that far are as detailed as they get without single leaves."""
+MAX_TREE_TRIANGLES = 320_000
+"""of trees that are individuals without single leaves; in a dense wood all further ones are a level
+coarser"""
 FAR = 2
 """level of detail from which on trees need not be individuals"""
 FAR_DESIGNS = 8
@@ -149,7 +170,8 @@ def trees(layout: Layout) -> Placed:
     centres = rng.uniform(low, high, (max(1, num // 6), 2))
     xy = centres[rng.integers(len(centres), size=num)] + rng.normal(0, 9.0, (num, 2))
     keep = layout.site.clear_of(xy, road=5.0, pavement=1.5, buildings=3.0)
-    for point in xy[keep]:
+    xy = xy[keep]
+    for point in xy[np.argsort(layout.distance(xy), kind="stable")]:  # near ones have first choice
         if rng.random() < 0.25:
             yield _shrub(layout, point, rng)
         else:
@@ -164,8 +186,8 @@ def _shrub(layout: Layout, xy: Array, rng: np.random.Generator) -> Model:
         return []
     heading = float(rng.uniform(0, 2 * np.pi))
     eyes = layout.close_eyes(xy[None], heading)
-    model = vegetation.shrub(rng=rng, lod=layout.lod(xy, 25.0, 70.0), eyes=eyes)
-    layout.close_triangles += 0 if eyes is None else sum(len(p.faces) for p in model)
+    model = vegetation.shrub(rng=_own(rng), lod=layout.lod(xy, 25.0, 70.0), eyes=eyes)
+    layout.spend_close(model, eyes)
     return sunk(layout.stand(model, xy, heading), 0.05)
 
 

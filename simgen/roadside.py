@@ -475,5 +475,5 @@ def _hedge(layout: Layout, stretch: Array, rng: np.random.Generator) -> Model:
         float(np.linalg.norm(chord)), float(rng.uniform(0.9, 2.0)), float(rng.uniform(0.5, 0.9)),
         rng=rng, lod=layout.lod(middle, 18.0, 55.0), eyes=eyes,
     )  # fmt: skip
-    layout.close_triangles += 0 if eyes is None else sum(len(p.faces) for p in model)
+    layout.spend_close(model, eyes)
     return sunk(layout.stand(model, middle, heading, z=float(stretch[:, 2].min())), 0.05)

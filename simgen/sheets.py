@@ -24,7 +24,7 @@ Layer = tuple[Field, ArrayLike]  # (N, N) coverage in 0..1, and the sRGB 0..255 
 
 WALL_M = 32.0
 """Side of a wall's sheet."""
-BARK_M = 4.0
+BARK_M = 16.0
 RISE_M = 3.2
 """The heights of a wall's courses repeat after so much, their blocks do not: whole rises apart, two
 places of a sheet continue each other's courses."""
@@ -69,7 +69,7 @@ def roof_sheet(*, rng: np.random.Generator, size_px: int = 2048, metres: float =
     return _tiles(_Canvas(size_px, metres, rng), *_ROOFS[rng.integers(len(_ROOFS))])
 
 
-def bark_sheet(*, rng: np.random.Generator, size_px: int = 1024, metres: float = BARK_M) -> Sheet:
+def bark_sheet(*, rng: np.random.Generator, size_px: int = 2048, metres: float = BARK_M) -> Sheet:
     """Draws bark: plates between furrows that run along v, lichen."""
     canvas = _Canvas(size_px, metres, rng)
     furrow = 1 - np.abs(canvas.noise(wave_m=(0.06, 0.5), octaves=4))

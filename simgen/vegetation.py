@@ -44,6 +44,7 @@ from simgen.mesh import (
     quads_to_triangles,
 )
 from simgen.schema import LABELS
+from simgen.sheets import BARK_M
 
 Color = tuple[float, float, float]
 
@@ -51,7 +52,8 @@ VEGETATION, TERRAIN = LABELS["vegetation"], LABELS["terrain"]
 TREE_TRIANGLES = (10000, 4000, 1400)  # at most, by level of detail
 FAR, NEAR = 2, 3  # levels of detail of wood
 NEAR_TREE_TRIANGLES = 60000
-"""at most, of a tree with single leaves"""
+"""at most, of a tree with single leaves at FULL_M; further away fewer"""
+FULL_M = 15.0
 SHRUB_TRIANGLES = (2400, 700, 140)
 NEAR_SHRUB_TRIANGLES = 12000
 HEDGE_TRIANGLES_PER_M2 = (260, 70, 14)
@@ -63,6 +65,8 @@ UP = np.array([0.0, 0.0, 1.0])
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 LOPSIDED = 1.38  # at most the reach of leaves over the crown's radius
 HANG = 0.11  # at most the depth of leaves below the crown's base, as a share of the height
+BUTTRESS = 0.35  # how much wider the foot of a trunk is
+BELOW = 0.02  # of a tree's height, below the ground
 MAX_CROWN_BASE = 0.7  # what is left of a tree above its lowest limbs is a crown yet
 DARK = np.array([0.022, 0.04, 0.012])  # between the leaves of a hedge
 
@@ -168,21 +172,35 @@ def tree(
     trunk = _trunk_path(kind, height_m, rng)
     branches = _branch_paths(kind, height_m, trunk, rng)
     clumps, twigs = _clumps_on(branches, kind, height_m, rng)
-    wood = _wood(kind, height_m, trunk, branches, twigs, lod if eyes is None else NEAR)
+    wood_lod, (bark_rng,) = lod if eyes is None else NEAR, rng.spawn(1)
+    wood = _wood(kind, height_m, trunk, branches, twigs, wood_lod, bark_rng)
     num_wood = sum(len(p.faces) for p in wood)
     if eyes is None:
         num_leaves = TREE_TRIANGLES[lod] - num_wood
         return [*wood, clusters(clumps, num_leaves, kind.cover, kind.droop, kind.color, rng)]
     leaves = near_leaves(
-        clumps, eyes, NEAR_TREE_TRIANGLES - num_wood, kind.leaf,
+        clumps, eyes, _affordable(NEAR_TREE_TRIANGLES, eyes) - num_wood, kind.leaf,
         cover=kind.cover, droop=kind.droop, color=kind.color, rng=rng,
     )  # fmt: skip
     return [*wood, leaves]
 
 
+def _affordable(triangles: int, eyes: Array) -> int:
+    """How many of the ``triangles`` of a plant at hand one gets that is seen from ``eyes``."""
+    distance = float(np.linalg.norm(eyes[:, :2], axis=1).min())
+    return int(triangles * min(1.0, FULL_M / distance))
+
+
 def crown_radius_m(species: str, height_m: float) -> float:
     """How far the leaves of a tree may reach from its foot [m]."""
     return LOPSIDED * SPECIES[species].crown_radius * height_m
+
+
+def trunk_m(species: str, height_m: float) -> tuple[float, float]:
+    """Girth at the foot and length of the trunk of a tree [m]."""
+    kind = SPECIES[species]
+    girth = 2 * np.pi * kind.trunk_radius * height_m * (1 + BUTTRESS)
+    return girth, (kind.leader + BELOW) * height_m
 
 
 def lowest_limbed_m(clear_m: float) -> float:
@@ -202,8 +220,8 @@ def shrub(*, rng: np.random.Generator, lod: int, eyes: Array | None = None) -> M
     if eyes is None:
         return [clusters(clumps, SHRUB_TRIANGLES[lod], 0.9, 0.0, color, rng)]
     return [
-        near_leaves(clumps, eyes, NEAR_SHRUB_TRIANGLES, SHRUB_LEAF, cover=0.9, droop=0.0,
-                    color=color, rng=rng)
+        near_leaves(clumps, eyes, _affordable(NEAR_SHRUB_TRIANGLES, eyes), SHRUB_LEAF, cover=0.9,
+                    droop=0.0, color=color, rng=rng)
     ]  # fmt: skip
 
 
@@ -304,7 +322,7 @@ def grass_tufts(
 
 def _trunk_path(kind: Species, height_m: float, rng: np.random.Generator) -> Array:
     """(25, 3) points from below the ground to the end of the leader."""
-    z = np.linspace(-0.02, kind.leader, 25) * height_m
+    z = np.linspace(-BELOW, kind.leader, 25) * height_m
     bend = np.cumsum(rng.normal(0, 0.0035 * height_m * (1.2 - kind.leader), (25, 2)), axis=0)
     return np.column_stack([bend - bend[0], z])
 
@@ -381,11 +399,12 @@ def _clumps_on(
 
 
 def _wood(
-    kind: Species, height_m: float, trunk: Array, branches: Array, twigs: Array, lod: int
-) -> Model:
+    kind: Species, height_m: float, trunk: Array, branches: Array, twigs: Array, lod: int,
+    rng: np.random.Generator,
+) -> Model:  # fmt: skip
     base = kind.trunk_radius * height_m
     z = np.clip(trunk[:, 2] / trunk[-1, 2], 0, 1)
-    trunk_radius = base * (1 - 0.8 * z + 0.35 * np.exp(-z * height_m / 0.3))
+    trunk_radius = base * (1 - 0.8 * z + BUTTRESS * np.exp(-z * height_m / 0.3))
     rings = slice(None, None, (1, 4, 8, 1)[lod])
     stem = _tubes(trunk[None, rings], trunk_radius[None, rings], (8, 6, 4, 14)[lod])
     # From afar, more limbs would only hide among the leaves.
@@ -394,9 +413,9 @@ def _wood(
     limb_base = np.interp(limbs[:, 0, 2], trunk[:, 2], trunk_radius) * 0.5
     limb_radius = limb_base[:, None] * np.linspace(1, 0.25, limbs.shape[1])
     twig_radius = np.full((len(twigs), 1), 0.12 * base) * np.array([1, 0.3])
-    thin = [_tubes(limbs, limb_radius, (4, 3, 0, 6)[lod])] if lod != FAR else []
+    thin = [_limbs(limbs, limb_radius, (4, 3, 0, 6)[lod], rng)] if lod != FAR else []
     if lod in (0, NEAR):
-        thin.append(_tubes(twigs[::every], twig_radius[::every], 3 if lod == 0 else 4))
+        thin.append(_limbs(twigs[::every], twig_radius[::every], 3 if lod == 0 else 4, rng))
     if kind.trunk is None:
         return [merged([_bark(*tube) for tube in [stem, *thin]])]
     vertices, faces, _ = stem
@@ -404,6 +423,15 @@ def _wood(
         part(vertices, faces, "matte", VEGETATION, color=_birch_color(kind.trunk, vertices)),
         *([merged([_bark(*tube) for tube in thin])] if thin else []),
     ]
+
+
+def _limbs(
+    paths: Array, radius: Array, sides: int, rng: np.random.Generator
+) -> tuple[Vertices, Faces, Array]:
+    """Tubes, each with bark from anywhere on the sheet."""
+    vertices, faces, uv = _tubes(paths, radius, sides)
+    offset = rng.uniform(0, BARK_M, (len(paths), 1, 2))
+    return vertices, faces, (uv.reshape(len(paths), -1, 2) + offset).reshape(-1, 2)
 
 
 def _bark(vertices: Vertices, faces: Faces, uv: Array) -> Part:

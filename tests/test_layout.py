@@ -9,7 +9,7 @@ import pytest
 from test_ground import make_spec
 
 from simgen import night
-from simgen.layout import CLOSE_TRIANGLES, Layout
+from simgen.layout import AT_HAND_M, CLOSE_M, CLOSE_TRIANGLES, Layout
 from simgen.mesh import box, part, placed
 from simgen.scene import _near_and_far
 
@@ -87,3 +87,13 @@ def test_single_leaves_end_with_distance_and_with_their_triangles():
     assert here.close_eyes(np.array([[-9.0, 0.0]])) is None
     here.close_triangles = CLOSE_TRIANGLES
     assert here.close_eyes(np.array([[9.0, 0.0]])) is None
+
+
+def test_plants_further_away_leave_half_the_triangles_to_those_at_hand():
+    here = layout(DRIVE[:1])
+    at_hand, beyond = np.array([[AT_HAND_M - 1, 0.0]]), np.array([[CLOSE_M - 1, 0.0]])
+    plant = [part(*box((1, 1, 1), (0, 0, 0)), "leaf", 21)] * (CLOSE_TRIANGLES // 24 + 1)
+    here.spend_close(plant, here.close_eyes(beyond))
+    assert here.close_eyes(beyond) is None
+    here.spend_close(plant, here.close_eyes(at_hand))
+    assert here.close_eyes(at_hand) is None

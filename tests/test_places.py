@@ -19,7 +19,7 @@ from simgen.facades import (
 )
 from simgen.ground import Optics
 from simgen.massing import KINDS, Massing
-from simgen.places import CELL_M, CELLS, Places, _box_sums
+from simgen.places import CELL_M, CELLS, Places, _box_sums, cells_of
 from simgen.rig import Camera
 from simgen.sheets import RISE_M, WALL_M
 from simgen.solids import upright
@@ -109,8 +109,8 @@ def _areas(triangles: Array) -> Array:
 # --- whole scenes -----------------------------------------------------------------------------
 
 
-def repeated_share(recipe: str, number: int) -> tuple[int, float]:
-    """Pixels of walls and roofs, and the share of them that show what others do as well.
+def repeated_share(recipe: str, number: int, slots: tuple[str, ...]) -> tuple[int, float]:
+    """Pixels of some surfaces, and the share of them that show what others do as well.
 
     Both show the same 20 cm of the same sheet, the same way round, over 3 m apart.
     """
@@ -129,7 +129,7 @@ def repeated_share(recipe: str, number: int) -> tuple[int, float]:
     for slot in scene._slots(built):
         for p in slot.parts or [scene._EMPTY]:
             here = (view.face >= first) & (view.face < first + len(p.faces))
-            if here.any() and slot.name.startswith(("wall", "roof")):
+            if here.any() and slot.name.startswith(slots):
                 uv, side = _on_sheet(p, view.face[here] - first, points[here])
                 sides = [(f"{p.material} {s}", side == s) for s in (-1, 1)]
                 for key, own in sides:
@@ -138,7 +138,10 @@ def repeated_share(recipe: str, number: int) -> tuple[int, float]:
     for pairs in seen.values():
         uv, xyz = (np.concatenate(x) for x in zip(*pairs, strict=True))
         if len(uv):
-            total, again = total + len(uv), again + int(_elsewhere(uv, xyz).sum())
+            total, again = (
+                total + len(uv),
+                again + int(_elsewhere(uv, xyz, cells_of(slots[0]) * CELL_M).sum()),
+            )
     return total, again / max(total, 1)
 
 
@@ -153,9 +156,9 @@ def _on_sheet(p, face: NDArray[np.int64], points: Array) -> tuple[Array, NDArray
     return ta + share[:, :1] * x + share[:, 1:] * y, side
 
 
-def _elsewhere(uv: Array, xyz: Array) -> NDArray[np.bool_]:
+def _elsewhere(uv: Array, xyz: Array, side_m: float) -> NDArray[np.bool_]:
     """(N,) whether the spot of the sheet at a point is also at one far from it."""
-    spot = np.floor((uv % WALL_M) / SPOT_M).astype(int) @ [1, 1000]
+    spot = np.floor((uv % side_m) / SPOT_M).astype(int) @ [1, 1000]
     _, group = np.unique(spot, return_inverse=True)
     low = np.full((group.max() + 1, 3), np.inf)
     high = -low
@@ -167,7 +170,16 @@ def _elsewhere(uv: Array, xyz: Array) -> NDArray[np.bool_]:
 def test_hardly_any_spot_of_a_sheet_is_seen_twice_in_a_scene(mitsuba_active, worst) -> None:
     shares = []
     for number in (3, 7, 8):
-        total, share = repeated_share("urban", number)
+        total, share = repeated_share("urban", number, ("wall", "roof"))
         assert total > 500
         shares.append(share)
     worst("pixels of walls that show a place of their sheet again", np.mean(shares), 0.04, "")
+
+
+def test_hardly_any_spot_of_bark_is_seen_twice_in_a_scene(mitsuba_active, worst) -> None:
+    shares = []
+    for recipe, number in (("rural", 3), ("rural", 1), ("suburban", 3)):
+        total, share = repeated_share(recipe, number, ("bark",))
+        assert total > 100
+        shares.append(share)
+    worst("pixels of bark that show a place of their sheet again", np.mean(shares), 0.1, "")

@@ -87,11 +87,11 @@ def test_near_shrubs_and_hedges_keep_to_their_triangles():
 
 
 def test_leaves_of_a_hedge_are_smallest_where_it_is_nearest():
-    eyes = np.array([[-6.0, -3.0, 1.7]])
-    (part,) = hedge(16.0, 1.5, 0.7, rng=np.random.default_rng(0), lod=0, eyes=eyes)
+    eyes = np.array([[-10.0, -3.0, 1.7]])
+    (part,) = hedge(24.0, 1.5, 0.7, rng=np.random.default_rng(0), lod=0, eyes=eyes)
     middle = corners(part).mean(axis=1)
     seen = middle[:, 1] < -0.1
-    near, far = (seen & (np.abs(middle[:, 0] - x) < 2) for x in (-6.0, 6.0))
+    near, far = (seen & (np.abs(middle[:, 0] - x) < 2) for x in (-10.0, 10.0))
     assert np.median(longest_edges(part)[near]) < 0.8 * np.median(longest_edges(part)[far])
 
 
