@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from simgen import photometric, schema, twoview
 from simgen.findings import CHECKS, Finding, judge, judge_estimate, not_applicable
+from simgen.samples import LAMPS_BELOW_DEG
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.uint8]
@@ -25,6 +26,7 @@ Arrays = Mapping[str, Any]
 NUM_TEXTURED_MIN = 500  # fewer textured pixels say nothing about a shift
 NEED_FLOW = ("flow", "vertical_flow")
 NEED_TEXTURE = ("photometric_shift", "photometric_offset", "photometric_match")
+SPEC_OBJECTS = ("rig", "daylight", "samples", "versions")  # parts of a spec that are looked into
 FULL_ACCURACY_WIDTH = 320  # narrower images get proportionally wider photometric limits
 
 
@@ -119,6 +121,10 @@ def _field_faults(field: schema.Field, value: Any, sizes: dict[str, int]) -> Ite
     if field.dtype == "json":
         if not isinstance(value, Mapping):
             yield f"'{field.name}' is no JSON object"
+            return
+        for part in SPEC_OBJECTS:
+            if not isinstance(value.get(part, {}), Mapping):
+                yield f"'{field.name}.{part}' is no JSON object"
         return
     array, shape = np.asarray(value), field.resolved(sizes)
     if array.shape != shape or array.dtype != field.dtype:
@@ -172,7 +178,7 @@ def max_angle_deg(spec: Mapping[str, Any]) -> float:
 
 def is_night(spec: Mapping[str, Any]) -> bool:
     """Whether lamps burn; by day where the spec does not say."""
-    return bool(spec.get("daylight", {}).get("sun_elevation_deg", 90.0) < 0)
+    return bool(spec.get("daylight", {}).get("sun_elevation_deg", 90.0) < LAMPS_BELOW_DEG)
 
 
 def _check_sky(arrays: Arrays) -> Finding:

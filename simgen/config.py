@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from simgen import samples
 from simgen.errors import UserError
@@ -37,6 +37,8 @@ MIN_SIZE, MAX_SIZE = (96, 54), (16384, 16384)
 MAX_PAIRS = 10_000_000
 MAX_FRAMES_PER_SCENE = 21
 """A drive of 60 m; all that is near to it has full detail, and is part of each of its frames."""
+
+T = TypeVar("T", Recipe, DaylightTable, WeatherTable)
 
 
 @dataclass(frozen=True)
@@ -213,15 +215,9 @@ def resolve(options: RenderOptions, variant: str) -> Job:
         spp=options.spp,
         denoise=options.denoise,
         sensor=options.sensor,
-        recipes=_taking_part(
-            _load_recipes(recipes) if recipes else _fitting(opendrive), "*", named=bool(recipes)
-        ),
-        daylight=_taking_part(
-            load_presets("daylight", DaylightTable, daylight), "daylight", named=bool(daylight)
-        ),
-        weather=_taking_part(
-            load_presets("weather", WeatherTable, weather), "weather", named=bool(weather)
-        ),
+        recipes=_recipes(recipes, opendrive),
+        daylight=_presets("daylight", DaylightTable, daylight),
+        weather=_presets("weather", WeatherTable, weather),
         frames_per_scene=options.frames_per_scene,
         flow=options.flow,
         compression=options.compression,
@@ -283,15 +279,31 @@ def _fitting(opendrive: bytes) -> dict[str, Recipe]:
     return {k: r for k, r in recipes.items() if not kind or r.road.kind == kind}
 
 
-def _taking_part(tables: dict[str, Any], stem: str, *, named: bool) -> dict[str, Any]:
+def _recipes(names: Sequence[str], opendrive: bytes) -> dict[str, Recipe]:
+    """Those that are named, also by the path of a file, which holds one; or all that fit."""
+    if names:
+        recipes = _load_recipes(names)
+        return _taking_part(recipes, f"--recipes {','.join(names)}", named=list(recipes))
+    return _taking_part(_fitting(opendrive), str(scenes_dir() / "*.toml"), named=())
+
+
+def _presets(kind: str, table: type[T], chosen: tuple[str, ...]) -> dict[str, T]:
+    """Those that are named, and those of the files that are; or all."""
+    presets = load_presets(kind, table, chosen)
+    where = f"--{kind} {','.join(chosen)}" if chosen else str(scenes_dir() / f"{kind}.toml")
+    return _taking_part(presets, where, named=[name for name in chosen if name in presets])
+
+
+def _taking_part(tables: dict[str, T], where: str, *, named: Sequence[str]) -> dict[str, T]:
     """Drops what has no share, unless it was named: then all that were named get the same."""
-    if named and any(t.share == 0 for t in tables.values()):
-        return {k: t.model_copy(update={"share": 1.0}) for k, t in tables.items()}
+    if any(tables[name].share == 0 for name in named):
+        equal = {name: tables[name].model_copy(update={"share": 1.0}) for name in named}
+        tables = {**tables, **equal}
     taking_part = {k: t for k, t in tables.items() if t.share > 0}
     if not taking_part:
         raise UserError(
-            f"{scenes_dir() / f'{stem}.toml'}: {', '.join(tables)} all have share = 0, so nothing "
-            "can be drawn. Give one of them a share above 0, or name those that are to be drawn."
+            f"{where}: {', '.join(tables)} all have share = 0, so nothing can be drawn. Give one "
+            "of them a share above 0, or name those that are to be drawn."
         )
     return taking_part
 

@@ -17,6 +17,7 @@ from simgen.atmosphere import SUNSET_DEG, sun_direction
 from simgen.color import luminance
 from simgen.geometry import Array
 from simgen.recipe import DaylightTable, SkySpec
+from simgen.samples import LAMPS_BELOW_DEG
 from simgen.skymap import (
     SKY_HW,
     Image,
@@ -27,8 +28,6 @@ from simgen.skymap import (
     texel,
 )
 
-LAMPS_BELOW_DEG = 0.0
-"""Sun elevation under which lamps burn and windows are lit."""
 SUN_RADIUS_DEG = SUNSET_DEG
 """Of the painted disc, soft at the rim: the map's texels are 0.18° wide. The true one is 0.27°."""
 CLOUDS_SEE_SUN_DEG = 2.0

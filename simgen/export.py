@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import errno
 import json
+import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -88,12 +90,39 @@ def _write(folder: Path, frame: Frame, radiances: Sequence[NDArray[np.float32]])
 
 
 def _moved(waiting: Path, to: Path) -> list[Path]:
-    """Puts the finished files into place."""
+    """Puts the finished files into place; on a failure, what was there before is put back."""
     paths = sorted(waiting.iterdir())
     for path in paths:
         if (to / path.name).is_dir():
             raise IsADirectoryError(errno.EISDIR, f"{path.name} is a folder there")
-    return [path.replace(to / path.name) for path in paths]
+    aside = Path(tempfile.mkdtemp(prefix=".replaced-", dir=to))
+    try:
+        for path in paths:
+            if os.path.lexists(to / path.name):
+                (to / path.name).replace(aside / path.name)
+            path.replace(to / path.name)
+    except BaseException:
+        _take_back(paths, aside, to)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)  # all is in place: no reason to say otherwise
+    return [to / path.name for path in paths]
+
+
+def _take_back(paths: Sequence[Path], aside: Path, to: Path) -> None:
+    """Undoes what was moved from ``paths``, and from ``to`` aside."""
+    try:
+        for path in paths:
+            if os.path.lexists(aside / path.name):
+                (aside / path.name).replace(to / path.name)
+            elif not path.exists():
+                (to / path.name).unlink()
+        aside.rmdir()
+    except OSError as error:
+        raise UserError(
+            f"--to {to}: files could neither be replaced nor put back ({error.strerror}). Some of "
+            f"those of this frame are new; the others' older ones are in {aside}: move them back, "
+            "or export again."
+        ) from error
 
 
 def camera_channels(frame: Frame, c: int, radiance: NDArray[np.float32]) -> dict[str, Any]:

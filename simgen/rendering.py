@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from simgen.errors import UserError
 from simgen.page import size_text
 from simgen.rig import drive_length
 from simgen.schema import SCHEMA_VERSION
-from simgen.shards import Manifest
+from simgen.shards import MANIFEST, Manifest
 from simgen.survey import read_log
 from simgen.workers import num_cores, num_workers, threads_of_worker
 
@@ -41,6 +42,9 @@ _SECONDS_PER_MEGASAMPLE = 1.25
 _SCALAR_FACTOR = 4.0
 _SECONDS_OF_WORKER = 1.7
 """of a worker that has one core, over those of one with two"""
+
+SCENES_TRIED = 3
+"""of a map, before a set is begun"""
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,8 @@ def render(options: RenderOptions) -> int:
     folder = run.SetFolder(options.out)
     folder.check_is_ours()
     left = len(set_plan.frames) - folder.num_done(set_plan)
-    if options.opendrive and left:
-        _require_buildable(options.opendrive, job)
+    if options.opendrive and left and not (options.out / MANIFEST).exists():
+        _require_buildable(options.opendrive, job, set_plan.scenes[:SCENES_TRIED])
     workers = options.workers or num_workers(job.wh, len(job.rig.camera_y_m), left)
     estimate = _estimate(job, options.out, workers)
     _announce(console, job, options, set_plan, left, estimate, workers)
@@ -91,23 +95,25 @@ def render(options: RenderOptions) -> int:
     return _conclude(console, manifest, options.out)
 
 
-def _require_buildable(path: Path, job: Job) -> None:
-    """UserError if the first scene's roads break in every draw: so would all, or most, others'.
+def _require_buildable(path: Path, job: Job, scenes: Sequence[int]) -> None:
+    """UserError if the roads of these scenes break in every draw: so would all, or most, others'.
 
     Before the folder is made, which would then be bound to this map.
     """
     from simgen import roads  # not needed without a map
 
-    for attempt in range(run.MAX_ATTEMPTS):
+    draws = list(itertools.product(scenes, range(run.MAX_ATTEMPTS)))
+    for scene, attempt in draws:
         try:
-            roads.build(draw_spec(job, 0, attempt), job.opendrive,
+            roads.build(draw_spec(job, scene, attempt), job.opendrive,
                         drive_m=drive_length(job.frames_per_scene))  # fmt: skip
             return
         except (ValueError, RuntimeError, LookupError, ArithmeticError) as error:
             reason = str(error).partition("\n")[0]
     raise UserError(
-        f"--opendrive {path}: its roads cannot be built, wherever the rig starts ({attempt + 1} "
-        f"places tried); of the last: {reason}. Mend the map, or cut it down to sound roads."
+        f"--opendrive {path}: its roads cannot be built, wherever the rig starts ({len(draws)} "
+        f"places tried); of the last: {reason}. Mend the map, cut it down to sound roads, or try "
+        "other places by another --seed."
     )
 
 

@@ -40,7 +40,8 @@ LOCK = ".lock"
 LOG = "render.jsonl"
 MAX_ATTEMPTS = 3
 GIVE_UP_AFTER = 5
-"""Frames that fail for good, in a set that has none that succeeded: then none is likely to."""
+"""Scenes of which a frame failed for good, in a set without any frame that succeeded: then none is
+likely to."""
 POLL_S = 0.25
 """How often a run looks up from waiting, to see whether it was told to stop."""
 TEST_EVERY = 10
@@ -99,11 +100,17 @@ class SetPlan:
     num_frames: int
     """rig frames of both splits"""
     shards: tuple[ShardPlan, ...]
+    frames_per_scene: int
 
     @property
     def frames(self) -> list[int]:
         """Frame indices to render, ascending."""
         return sorted(i for shard in self.shards for i in shard.frames)
+
+    @property
+    def scenes(self) -> list[int]:
+        """Scenes of these frames, ascending."""
+        return sorted({i // self.frames_per_scene for i in self.frames})
 
 
 SIDES = ("train", "test")
@@ -131,7 +138,7 @@ def plan(
             for k in range(0, len(frames), frames_per_shard):
                 name = f"{side}-{k // frames_per_shard:05d}.h5"
                 shards.append(ShardPlan(name, side, tuple(frames[k : k + frames_per_shard])))
-    return SetPlan(num_frames, tuple(shards))
+    return SetPlan(num_frames, tuple(shards), frames_per_scene)
 
 
 # --- the folder ----------------------------------------------------------------------------------
@@ -364,6 +371,7 @@ def render_set(
 def _restore(state: _State, progress: Progress) -> None:
     """Takes up what an earlier run left: forgets broken shards, tries failed frames again."""
     kept = []
+    _announce_hashing(state, progress)
     for shard in state.manifest.shards:
         if (entry := _intact(state, shard)) is not None:
             kept.append(entry)
@@ -384,7 +392,7 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
     A run that is killed between replacing a shard and saying so leaves a longer one.
     """
     path = state.folder.path / shard.name
-    if path.exists() and path.stat().st_size == shard.bytes and _unchanged(state, shard):
+    if _has_its_size(state, shard) and _unchanged(state, shard):
         return shard
     try:
         with open_shard(path) as file:
@@ -396,6 +404,26 @@ def _intact(state: _State, shard: ShardEntry) -> ShardEntry | None:
         return None
 
 
+def _announce_hashing(state: _State, progress: Progress) -> None:
+    """Says so where it takes long: a copy may have made all shards later than the manifest."""
+    sizes = [s.bytes for s in state.manifest.shards if _has_its_size(state, s) and _late(state, s)]
+    if sizes:
+        progress.note(
+            f"{state.folder.path}: {len(sizes)} shards are later than the manifest, as in a copy; "
+            f"comparing their {size_text(sum(sizes))} with its hashes first."
+        )
+
+
+def _has_its_size(state: _State, shard: ShardEntry) -> bool:
+    path = state.folder.path / shard.name
+    return path.exists() and path.stat().st_size == shard.bytes
+
+
+def _late(state: _State, shard: ShardEntry) -> bool:
+    path, manifest = state.folder.path / shard.name, state.folder.path / MANIFEST
+    return path.stat().st_mtime_ns >= manifest.stat().st_mtime_ns
+
+
 def _unchanged(state: _State, shard: ShardEntry) -> bool:
     """Whether a shard of the right size has its bytes, as far as its time does not tell.
 
@@ -403,9 +431,7 @@ def _unchanged(state: _State, shard: ShardEntry) -> bool:
     To hash all of a large set would take minutes at each start: what changed without a new time,
     on a failing disk, is found by ``simgen validate``.
     """
-    path, manifest = state.folder.path / shard.name, state.folder.path / MANIFEST
-    written_before = path.stat().st_mtime_ns < manifest.stat().st_mtime_ns
-    return written_before or file_sha256(path) == shard.sha256
+    return not _late(state, shard) or file_sha256(state.folder.path / shard.name) == shard.sha256
 
 
 def _render(
@@ -417,18 +443,22 @@ def _render(
     progress: Progress,
     stop: _StopSignals,
 ) -> None:
-    queue = list(reversed(todo))
+    queue, again = list(reversed(todo)), list[int]()
     running: dict[Any, FrameTask] = {}
     processes = _processes(pool)
     try:
-        while queue or running:
+        while queue or again or running:
             if not processes.active:  # pebble gives up when a process dies while all are idle
                 processes = _processes(pool)
-            while queue and len(running) < pool.workers:
-                index = queue.pop()
+            # Frames that were begun are finished before all is given up: failures come fast.
+            new = queue if finished or _has_hope(state) else []
+            while (again or new) and len(running) < pool.workers:
+                index = (again or new).pop()
                 task = FrameTask(job, index, state.attempts.get(index, 0),
                                  state.folder.frame_path(index))  # fmt: skip
                 running[processes.schedule(_work, args=[pool, task])] = task
+            if not running:
+                break
             done = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED).done
             stop.obey()
             for future in done:
@@ -436,28 +466,44 @@ def _render(
                 if _settle(future, task, state, progress):
                     finished.add(task.index)
                 elif task.index not in state.failed():
-                    queue.append(task.index)
-                elif not finished:
-                    _require_hope(state)
+                    again.append(task.index)
             if done:
                 _assemble_complete(state, finished)
+        if not finished:
+            _require_hope(state)
     finally:
         processes.stop()
         processes.join()
 
 
-def _require_hope(state: _State) -> None:
-    """UserError if a set without any finished frame has so many that failed for good."""
+def _failures(state: _State) -> list[dict[str, Any]]:
+    """Of the frames that are asked for."""
     asked = set(state.plan.frames)
-    failures = [f for f in state.manifest.failures if f["frame_index"] in asked]
-    if len(failures) < GIVE_UP_AFTER:
+    return [f for f in state.manifest.failures if f["frame_index"] in asked]
+
+
+def _failed_scenes(state: _State) -> set[int]:
+    """Scenes of which a frame failed for good; frames of one scene fail together."""
+    return {f["frame_index"] // state.plan.frames_per_scene for f in _failures(state)}
+
+
+def _has_hope(state: _State) -> bool:
+    """Whether a set without any finished frame may still come to one."""
+    return len(_failed_scenes(state)) < GIVE_UP_AFTER
+
+
+def _require_hope(state: _State) -> None:
+    """UserError if so many scenes failed for good, in a set without any finished frame."""
+    if _has_hope(state):
         return
+    failures, scenes = _failures(state), _failed_scenes(state)
     reasons = dict.fromkeys(" ".join(r.split()) for f in failures for r in f["reasons"])
     raise UserError(
-        f"{state.folder.path}: {len(failures)} frames failed {MAX_ATTEMPTS} times each, and none "
-        f"succeeded: {'; '.join(reasons)}. Expected most to succeed, so the run stops here: mend "
-        "the cause (simgen doctor tells of this machine; a recipe or map of your own may ask for "
-        "what cannot be built), and run the same command again: it tries these frames anew."
+        f"{state.folder.path}: {len(failures)} frames of {len(scenes)} scenes failed "
+        f"{MAX_ATTEMPTS} times each, and none succeeded: {'; '.join(reasons)}. "
+        "Expected most to succeed, so the run stops here: mend the cause (simgen doctor tells of "
+        "this machine; a recipe or map of your own may ask for what cannot be built), and run the "
+        "same command again: it tries these frames anew."
     )
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+LAMPS_BELOW_DEG = 0.0
+"""Sun elevation under which lamps burn and windows are lit."""
 NIGHT_SAMPLES = 2
 """Where lamps burn, so many times the samples: each picks one of several small lights. Of a country
 road that only headlights reach, 2 samples a pixel left 1.8 times the true power in an octave, 4

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from simgen.errors import UserError
+from simgen.errors import RESTORE, UserError
 from simgen.flowfield import flow_from_depth
 from simgen.geometry import inverse
 from simgen.schema import FIELDS, SCHEMA_VERSION
@@ -133,8 +133,7 @@ def open_shard(path: Path) -> h5py.File:
         raise UserError(f"{path}: no such file, though the manifest lists it.") from error
     except OSError as error:
         raise UserError(
-            f"{path}: not a readable HDF5 file ({error}). If it is truncated or foreign, delete it "
-            "and run the same render command again: it makes the missing frames anew."
+            f"{path}: not a readable HDF5 file ({error}). If it is truncated or foreign, {RESTORE}."
         ) from error
     try:
         _require_schema(file, path)
@@ -202,7 +201,7 @@ class Frame:
         except errors as error:
             raise UserError(
                 f"{self._path}: {name!r} of row {self._row} cannot be decoded ({error}): the file "
-                "is damaged. Delete it and run the same render command again, or copy it anew."
+                f"is damaged; {RESTORE}."
             ) from error
 
     def __getattr__(self, name: str) -> NDArray[Any]:

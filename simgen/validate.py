@@ -21,7 +21,7 @@ from scipy import stats
 
 from simgen import schema
 from simgen.checks import check_frame, is_night, max_angle_deg
-from simgen.errors import UserError
+from simgen.errors import RESTORE, UserError
 from simgen.findings import Finding, Report, judge, judge_estimate, not_applicable
 from simgen.photometric import pool
 
@@ -184,7 +184,7 @@ def _check_shard(path: Path, entry: _Entry, read: _Set) -> Iterator[None]:
         with h5py.File(path) as shard:
             yield from _check_contents(shard, entry, read)
     except OSError as error:
-        why = f"truncated, damaged or no HDF5 file: {error}; delete it and run render again"
+        why = f"truncated, damaged or no HDF5 file: {error}; {RESTORE}"
         read.findings.append(judge("readable", 1, entry.name, why))
     else:
         read.findings.append(judge("readable", 0, entry.name))
@@ -193,8 +193,7 @@ def _check_shard(path: Path, entry: _Entry, read: _Set) -> Iterator[None]:
 def _check_hash(path: Path, entry: _Entry) -> Finding:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    detail = (f"is {digest[:12]}…, the manifest says {entry.sha256[:12]}…; delete the file and run "
-              "the same render command again")  # fmt: skip
+    detail = f"is {digest[:12]}…, the manifest says {entry.sha256[:12]}…; {RESTORE}"
     return judge("sha256", digest != entry.sha256, entry.name, detail)
 
 

@@ -165,6 +165,22 @@ def crash_always(task: FrameTask) -> FrameResult:
     raise ImportError(f"no sky,\nnot even {task.index % 2}")
 
 
+def succeed_last(task: FrameTask) -> FrameResult:
+    """Frames 1 to 5 fail; frame 0 is begun before them and fails after them, but only once."""
+    marks = [task.job.marks / f"failed-{i}" for i in range(1, 6)]
+    if 1 <= task.index <= 5:
+        (marks[task.index - 1]).touch()
+        raise FrameRejected(["no sky"])
+    if task.index == 0 and task.attempt == 0:
+        deadline = time.monotonic() + 30
+        while not all(mark.exists() for mark in marks):
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        time.sleep(1.0)  # until the last failures have arrived
+        raise FrameRejected(["too dark"])
+    return render(task)
+
+
 def crash_on_first_attempt(task: FrameTask) -> FrameResult:
     """Frame 1 cannot be built at attempt 0."""
     if task.index == 1 and task.attempt == 0:

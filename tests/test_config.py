@@ -12,7 +12,15 @@ import pytest
 from simgen import config, recipe
 from simgen.config import Job, RenderOptions, load_rig, parse_size, resolve
 from simgen.errors import UserError
-from simgen.recipe import draw_scene, draw_sky, pick, scenes_dir, stream
+from simgen.recipe import (
+    WeatherTable,
+    draw_scene,
+    draw_sky,
+    load_presets,
+    pick,
+    scenes_dir,
+    stream,
+)
 from simgen.rig import Rig
 
 OPTIONS = RenderOptions(n=9)
@@ -117,6 +125,36 @@ def test_named_presets_keep_their_shares():
     assert {k: t.share for k, t in _job(weather="clear, overcast").weather.items()} == {
         "clear": 0.27, "overcast": 0.18
     }  # fmt: skip
+
+
+def test_presets_of_a_file_keep_their_shares_and_those_without_one_are_dropped(tmp_path):
+    path = _presets_file(tmp_path, "weather", often="fog: share = 0.6", seldom="rain: share = 0.2",
+                         never="clear: share = 0.0")  # fmt: skip
+    assert {k: t.share for k, t in _job(weather=str(path)).weather.items()} == {
+        "often": 0.6, "seldom": 0.2
+    }  # fmt: skip
+
+
+def test_presets_named_without_a_share_get_the_same_and_those_of_a_file_keep_theirs(
+    tmp_path, monkeypatch
+):
+    path = _presets_file(tmp_path, "weather", often="fog: share = 0.6")
+    own = load_presets("weather", WeatherTable)
+    own["clear"] = own["clear"].model_copy(update={"share": 0.0})
+    named = {"clear": own["clear"], "rain": own["rain"]}
+    monkeypatch.setattr(
+        config,
+        "load_presets",
+        lambda kind, table, chosen: load_presets(kind, table, chosen) | named,
+    )
+    job = _job(weather=f"clear,rain,{path}", daylight="noon")
+    assert {k: t.share for k, t in job.weather.items()} == {"clear": 1, "rain": 1, "often": 0.6}
+
+
+def test_a_file_of_presets_without_any_share_is_named(tmp_path):
+    path = _presets_file(tmp_path, "weather", never="fog: share = 0.0")
+    with pytest.raises(UserError, match=r"--weather .*my_weather\.toml: never all have share = 0"):
+        _job(weather=str(path))
 
 
 def test_recipes_are_named_or_read_from_files(tmp_path):

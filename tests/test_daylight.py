@@ -7,11 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from simgen import atmosphere, clouds, daylight
+from simgen import atmosphere, checks, clouds, daylight
 from simgen.atmosphere import clear_dome, sun_direction, sun_klx, transmittance
 from simgen.color import luminance
 from simgen.daylight import environment, is_night, night_share
 from simgen.recipe import DaylightTable, SkySpec, WeatherTable, draw_sky, load_presets
+from simgen.samples import LAMPS_BELOW_DEG
 from simgen.skymap import DOME_HW, SKY_HW, directions, dome_directions, enlarged, illuminance
 
 
@@ -173,6 +174,12 @@ def test_our_sky_agrees_with_mitsubas():
                     for f in (luminance, lambda rgb: rgb[:, 2] / rgb[:, 0]))  # fmt: skip
     assert bright > 0.8
     assert blue > 0.8
+
+
+def test_a_frame_is_checked_as_one_by_night_if_its_lamps_burn():
+    for degrees in (-18.0, LAMPS_BELOW_DEG - 1e-9, LAMPS_BELOW_DEG, 40.0):
+        spec = {"daylight": {"sun_elevation_deg": degrees}}
+        assert checks.is_night(spec) == is_night(sky(degrees)) == (degrees < LAMPS_BELOW_DEG)
 
 
 def test_the_expected_share_of_nights_is_that_of_the_draws():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -84,6 +85,46 @@ def test_a_disk_that_is_full_on_the_way_leaves_nothing(
             export.export_frame(folder, 1, to)
     assert [p.name for p in tmp_path.iterdir()] == ["there"]
     assert [p.read_text() for p in (tmp_path / "there").iterdir()] == ["old"]
+
+
+def _replacing_breaks(monkeypatch: pytest.MonkeyPatch, broken: Callable[[Path], bool]) -> None:
+    replace = Path.replace
+
+    def replaced(path: Path, target: Path) -> Path:
+        if broken(path):
+            raise FULL
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", replaced)
+
+
+@pytest.mark.parametrize("place", [".export-", "there"])
+def test_a_replacement_that_fails_midway_is_taken_back(folder, tmp_path, monkeypatch, place):
+    """Of the new file, or of the older one."""
+    to = tmp_path / "there"
+    to.mkdir()
+    older = {name: f"old {name}" for name in (FILES[0], "pair-0-1.exr", FILES[-1], "holiday.jpg")}
+    for name, text in older.items():
+        (to / name).write_text(text)
+    _replacing_breaks(
+        monkeypatch, lambda p: p.name == "pair-0-1.exr" and p.parent.name.startswith(place)
+    )
+    with pytest.raises(UserError, match=r"cannot be written to \(No space.* Nothing was exported"):
+        export.export_frame(folder, 1, to)
+    assert {p.name: p.read_text() for p in to.iterdir()} == older
+
+
+def test_older_files_that_cannot_be_put_back_are_kept_and_named(folder, tmp_path, monkeypatch):
+    (tmp_path / FILES[0]).write_text("old")
+    _replacing_breaks(
+        monkeypatch, lambda p: p.name == FILES[1] or p.parent.name.startswith(".replaced-")
+    )
+    expected = r"files could neither be replaced nor put back \(No space left.* are in (.*): move"
+    with pytest.raises(UserError, match=expected) as error:
+        export.export_frame(folder, 1, tmp_path)
+    aside = re.search(expected, str(error.value))
+    assert aside is not None
+    assert (Path(aside[1]) / FILES[0]).read_text() == "old"
 
 
 def test_a_folder_in_the_way_of_a_file_is_named_before_anything_is_written(folder, tmp_path):

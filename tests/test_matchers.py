@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import packages_distributions
@@ -127,12 +128,33 @@ def test_a_matcher_is_loaded_once():
     assert load_matcher("xfeat") is load_matcher("xfeat")
 
 
-def test_nothing_heavy_is_imported_until_asked_for():
-    """All of our modules are loaded once more, while the heavy ones cannot be."""
-    with patch.dict(sys.modules, {"kornia": None, "transformers": None}):
-        for name in [m for m in sys.modules if m.partition(".")[0] in ("flowrect", "simgen")]:
+class _Refusing:
+    """A finder that notes who looks for heavy modules, and lets nobody find them."""
+
+    HEAVY = ("kornia", "transformers")
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def find_spec(self, name: str, *_: object) -> None:
+        if name.partition(".")[0] in self.HEAVY:
+            self.asked.append(name)
+            raise ModuleNotFoundError(name)
+
+
+def test_nothing_heavy_is_imported_until_asked_for(monkeypatch):
+    """All of our modules are loaded once more; an import within try and except counts, too."""
+    finder = _Refusing()
+    monkeypatch.setattr(sys, "meta_path", [finder, *sys.meta_path])
+    again = ("flowrect", "simgen", *finder.HEAVY)
+    with patch.dict(sys.modules):
+        for name in [m for m in sys.modules if m.partition(".")[0] in again]:
             del sys.modules[name]
         assert import_module("flowrect.matchers") is not matchers
+        assert finder.asked == []
+        with suppress(ImportError):
+            import_module("kornia")
+        assert finder.asked == ["kornia"]
 
 
 def test_every_matcher_makes_a_method():

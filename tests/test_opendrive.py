@@ -24,6 +24,7 @@ from simgen.mesh import Model
 from simgen.opendrive import read
 from simgen.recipe import scenes_dir
 from simgen.roads import at_station, stations
+from simgen.run import SetFolder
 from simgen.site import Site
 
 MAPS = {p.stem: p for p in (scenes_dir() / "maps").glob("*.xodr")}
@@ -430,10 +431,44 @@ def test_a_map_is_tried_out_before_the_folder_is_made(tmp_path, monkeypatch):
             raise ValueError("of this place")
 
     monkeypatch.setattr(roads, "build", build)
-    rendering._require_buildable(
-        tmp_path, replace(job(MAPS["signal_crossing"]), frames_per_scene=3)
-    )
+    mine = replace(job(MAPS["signal_crossing"]), frames_per_scene=3)
+    rendering._require_buildable(tmp_path, mine, [0])
     assert tried == [6.0] * 3, "one place to drive in is enough"
+
+
+@pytest.mark.parametrize("split, scenes", [("all", [0, 1, 2]), ("train", [1, 2, 3]),
+                                           ("test", [0, 10])])  # fmt: skip
+def test_the_first_scenes_that_are_to_be_rendered_are_tried(
+    tmp_path, monkeypatch, capsys, split, scenes
+):
+    tried = []
+
+    def build(spec, data, *, drive_m):
+        tried.append(spec.seed)
+        raise ValueError("no road")
+
+    monkeypatch.setattr(roads, "build", build)
+    assert _begun(tmp_path, "--split", split, "--frames-per-scene", "2") == 2
+    assert tried == [(0, scene, attempt) for scene in scenes for attempt in range(3)]
+    said = capsys.readouterr().err
+    assert f"({len(tried)} places tried); of the last: no road. Mend the map, cut it" in said
+    assert "by another --seed" in said
+
+
+def test_a_map_is_not_tried_out_again_for_a_set_that_was_begun(tmp_path, monkeypatch, capsys):
+    folder = SetFolder(tmp_path / "set")
+    with folder.locked():
+        folder.open_manifest(replace(job(MAPS["signal_crossing"]), seed=1).content(), 16, 3)
+    monkeypatch.setattr(roads, "build", lambda *_, **__: pytest.fail("tried"))
+    assert _begun(tmp_path) == 2
+    assert "was rendered with other options" in capsys.readouterr().err
+
+
+def _begun(folder: Path, *args: str) -> int:
+    """The exit status of a run of 22 frames that is refused."""
+    path = MAPS["signal_crossing"]
+    return cli.main(["render", "--n", "66", "--opendrive", str(path), "--out", str(folder / "set"),
+                     "--size", "96x54", "--variant", "scalar_rgb", *args])  # fmt: skip
 
 
 # --- drives of many frames -----------------------------------------------------------------------

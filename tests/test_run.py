@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ def _render(
     job: FakeJob | None = None,
     workers: int = 1,
     split: str = "all",
+    per_scene: int = 1,
     initializer: Any = fakes.start,
     recycle: int = 50,
     start_method: str = "forkserver",
@@ -57,7 +59,7 @@ def _render(
     with folder.locked():
         manifest = folder.open_manifest(job.content(), 3, num_frames * PAIRS_PER_FRAME)
         return render_set(
-            job, _plan(num_frames, split), folder, manifest,
+            job, _plan(num_frames, split, per_scene), folder, manifest,
             Pool(render_one, initializer, (), workers, recycle, start_method),
             attributes={"schema_version": 1, "config": json.dumps(job.content())},
             compression=job.compression, progress=Progress(**hooks),
@@ -388,7 +390,7 @@ def test_three_rejections_are_a_failure_and_the_rest_is_finished(tmp_path):
 def test_a_run_in_which_nothing_succeeds_gives_up_and_can_be_continued(whole, tmp_path):
     path = tmp_path / "set"
     with pytest.raises(
-        UserError, match="5 frames failed 3 times each, and none succeeded"
+        UserError, match="5 frames of 5 scenes failed 3 times each, and none succeeded"
     ) as error:
         _render(path, 7, fakes.crash_always)
     said = str(error.value)
@@ -398,6 +400,23 @@ def test_a_run_in_which_nothing_succeeds_gives_up_and_can_be_continued(whole, tm
     assert [f["frame_index"] for f in Manifest.load(path).failures] == [0, 1, 2, 3, 4]
     _render(path, 7)
     assert _files(path) == _files(whole)
+
+
+@pytest.mark.parametrize("num_frames, gives_up", [(11, False), (12, False), (13, True)])
+def test_a_run_gives_up_after_failures_of_five_scenes(tmp_path, num_frames, gives_up):
+    """Of three frames each; no matter how many of their frames fail."""
+    render_all = partial(_render, tmp_path / "set", num_frames, fakes.crash_always, per_scene=3)
+    if gives_up:
+        with pytest.raises(UserError, match="13 frames of 5 scenes failed 3 times each"):
+            render_all()
+    else:
+        assert len(render_all().failures) == num_frames
+
+
+def test_frames_in_work_are_finished_before_a_run_gives_up(tmp_path):
+    manifest = _render(tmp_path / "set", 7, fakes.succeed_last, workers=2)
+    assert [f["frame_index"] for f in manifest.failures] == [1, 2, 3, 4, 5]
+    assert _frames(manifest) == [0, 6]
 
 
 def test_a_set_that_has_a_frame_does_not_give_up(tmp_path):
@@ -459,6 +478,19 @@ def test_a_shard_that_is_later_than_the_manifest_is_held_to_its_hash(
     _render(path, 7, frame_done=lambda result: rendered.append(result.index))
     assert rendered == again
     assert _files(path) == _files(whole)
+
+
+def test_one_note_tells_that_the_shards_of_a_copy_are_hashed(whole, tmp_path):
+    path, notes = shutil.copytree(whole, tmp_path / "set"), []
+    size = sum(shard.stat().st_size for shard in path.glob("*.h5"))
+    for shard in path.glob("*.h5"):
+        shard.touch()
+    for _ in range(2):
+        _render(path, 7, note=notes.append)
+    assert notes == [
+        f"{path}: 3 shards are later than the manifest, as in a copy; comparing their "
+        f"{run.size_text(size)} with its hashes first."
+    ]
 
 
 def test_a_shard_with_something_appended_is_restored(whole, tmp_path):

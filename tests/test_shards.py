@@ -206,7 +206,9 @@ def test_a_spec_that_is_not_json_is_refused(copy, text):
         file["spec"][0] = text
     frame = ShardSet(copy).frame(3)
     with pytest.raises(
-        UserError, match=r"train-00000\.h5: 'spec' of row 0 cannot be decoded .*is d"
+        UserError,
+        match=r"train-00000\.h5: 'spec' of row 0 cannot be decoded .*is damaged; "
+        "move the file away and run the same render command again with the same versions installed",
     ):
         _ = frame.spec
     assert ShardSet(copy).frame(1).spec
@@ -238,7 +240,7 @@ def test_a_manifest_reads_as_it_was_saved(stored, tmp_path):
 def test_a_truncated_or_foreign_file_is_refused(copy, content):
     shard = copy / "train-00000.h5"
     shard.write_bytes(shard.read_bytes()[:5000] if content is None else content)
-    expected = r"train-00000\.h5: not a readable HDF5 file .*delete it and run the same render"
+    expected = r"train-00000\.h5: not a readable HDF5 file .*foreign, move the file away and"
     with pytest.raises(UserError, match=expected):
         _ = ShardSet(copy).frame(1).image
 

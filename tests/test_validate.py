@@ -633,7 +633,20 @@ def test_a_changed_byte_is_found(folder: Path) -> None:
         shard["image"][0, 0, 0, 0, 0] ^= 1
     found = failures(folder)
     assert set(found) == {"sha256"}
-    assert found["sha256"].endswith("; delete the file and run the same render command again")
+    assert found["sha256"].endswith(
+        "; move the file away and run the same render command again with the same versions "
+        "installed, or put a copy of it back"
+    )
+
+
+@pytest.mark.parametrize("part", ["samples", "versions", "rig", "daylight"])
+@pytest.mark.parametrize("value", [None, 2, "2.0", [4]])
+def test_a_part_of_a_spec_that_is_no_object_is_a_finding(
+    folder: Path, tiny: Frame, part: str, value: Any
+) -> None:
+    spec = tiny["spec"] | {part: value}
+    write_shard(folder / "test-00000.h5", [numbered(tiny, 0) | {"spec": spec}])
+    assert failures(folder)["schema"] == f"'spec.{part}' is no JSON object"
 
 
 RULE = {"day_spp": 2, "night_spp": 4, "features_spp": 8, "max_depth": 4}
