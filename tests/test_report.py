@@ -266,7 +266,7 @@ def test_a_set_of_an_older_version_is_read_told_and_checked_but_not_continued(
     page = write_report(old, old / "report.html").read_text("utf-8")
     assert "<td>2 by day; where lamps burn as each frame&#x27;s spec says</td>" in page
     assert not [f for f in validate_folder(old).failed if f.check == "settings"]
-    with pytest.raises(UserError, match="options: samples: not in the folder; versions: not in"):
+    with pytest.raises(UserError, match="; samples: not in the folder; versions: not in"):
         SetFolder(old).open_manifest(asked, 16, 12)
 
 
