@@ -36,9 +36,9 @@ CONVENTIONS = (
 # two cores of an x86-64 server: the estimate before a set has timings of its own.
 _BYTES_PER_CAMERA_PIXEL = 4.4
 _BYTES_PER_PAIR_PIXEL = 4.3
-_SECONDS_FIXED = 7.0
-_SECONDS_PER_CAMERA_MEGAPIXEL = 3.0
-_SECONDS_PER_MEGASAMPLE = 1.25
+_SECONDS_FIXED = 6.0
+_SECONDS_PER_CAMERA_MEGAPIXEL = 2.1
+_SECONDS_PER_MEGASAMPLE = 0.6
 _SCALAR_FACTOR = 4.0
 _SECONDS_OF_WORKER = 1.7
 """of a worker that has one core, over those of one with two"""
