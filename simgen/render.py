@@ -223,7 +223,7 @@ def _first_hits(
 
 @cache
 def _first_hit_integrator(variant: str) -> Any:
-    """What _SURFACE and _DISTANCE tell, of one ray instead of two: 16 samples for the price of 8.
+    """What _ALBEDO, _SURFACE and _DISTANCE tell, of one ray: 16 samples for the price of 8.
 
     Mitsuba's classes belong to a ``variant``, so this one is made when that is known.
     """
