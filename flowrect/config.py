@@ -240,6 +240,9 @@ class FlowOptions(LoopOptions):
     of 8, at least 128. 256x128 takes a quarter of the time"""
     updates: int = 12
     """refinements of the flow, each of which is supervised"""
+    matching: float = 0.0
+    """beyond RAFT: weight [px/nat] of the cross-entropy of the features' correlation against exact
+    flow, over all features of the right image"""
     rectified: float = 0.5
     """share of the batches that are rectified, by a pose which is wrong by up to ``error_deg``"""
     error_deg: float = 1.0

@@ -14,7 +14,7 @@ import pickle
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from pydantic import TypeAdapter, ValidationError
@@ -34,6 +34,8 @@ from simgen.errors import UserError
 FORMAT = "flowrect-flow-1"
 MIN_SIDE = 128
 """[px] RAFT looks at an eighth of the size, and halves that three times"""
+STRIDE = 8
+"""pixels a feature, along each side"""
 UPDATES = 12
 Size = Literal["small", "large"]
 SIZES = {"small": raft_small, "large": raft_large}
@@ -55,6 +57,16 @@ class FlowCard:
     """what they were trained on"""
 
 
+class Flows(NamedTuple):
+    """What RAFT says of pairs."""
+
+    refined: list[Tensor]
+    """the flow (B, 2, H, W) [px] from left to right after each update"""
+    log_matches: Tensor
+    """(B, h·w, h·w): for each left feature, row by row, the log-probability of each right one by
+    their correlation alone; h = H / STRIDE, w = W / STRIDE"""
+
+
 class FlowNetwork(nn.Module):
     """RAFT from images in 0…1."""
 
@@ -64,19 +76,20 @@ class FlowNetwork(nn.Module):
 
     def flow(self, left: Tensor, right: Tensor) -> Tensor:
         """Flow (B, 2, H, W) [px] from left to right images (B, 3, H, W)."""
-        last: Tensor = self(left, right)[-1]
-        return last
+        return self(left, right).refined[-1]  # type: ignore[no-any-return]
 
-    def forward(self, left: Tensor, right: Tensor, updates: int = UPDATES) -> list[Tensor]:
-        """The flow after each of its updates; H and W are multiples of 8."""
+    def forward(self, left: Tensor, right: Tensor, updates: int = UPDATES) -> Flows:
+        """The flow after each of its updates; H and W are multiples of ``STRIDE``."""
         h, w = left.shape[-2:]
-        if min(h, w) < MIN_SIDE or h % 8 or w % 8:
+        if min(h, w) < MIN_SIDE or h % STRIDE or w % STRIDE:
             raise UserError(
                 f"images of {w}x{h} px cannot be matched by RAFT: expected at least {MIN_SIDE} px "
-                "along each side, and multiples of 8."
+                f"along each side, and multiples of {STRIDE}."
             )
-        flows: list[Tensor] = self.raft(2 * left - 1, 2 * right - 1, num_flow_updates=updates)
-        return flows
+        refined: list[Tensor] = self.raft(2 * left - 1, 2 * right - 1, num_flow_updates=updates)
+        correlation: Tensor = self.raft.corr_block.corr_pyramid[0]  # (B·h·w, 1, h, w)
+        matches = correlation.reshape(len(left), -1, correlation[0].numel())
+        return Flows(refined, matches.float().log_softmax(-1))
 
     def frozen(self) -> FlowNetwork:
         """The network as a teacher: gradients pass through it, but it does not learn."""

@@ -87,9 +87,6 @@ def matching_loss(
 ) -> Tensor:
     """Cross-entropy of the match distribution against exact flow [nats]; 0 if nothing is visible.
 
-    The flow of a correspondence is taken to hold at the feature next to its left end. The right end
-    falls between four features, which share it by their bilinear weights.
-
     Args:
       log_matches: (B, h·w, h·w): for each left feature, row by row, the log-probability of each
         right feature.
@@ -99,7 +96,24 @@ def matching_loss(
     """
     uv_left = rectified_uv(truth.rays_left, rect.R_left, rect.K_new)
     uv_right = rectified_uv(truth.rays_right, rect.R_right, rect.K_new)
-    counted = truth.visible & inside(uv_left, wh)
+    return match_cross_entropy(log_matches, uv_left, uv_right, truth.visible, wh)
+
+
+def match_cross_entropy(
+    log_matches: Tensor, uv_left: Tensor, uv_right: Tensor, visible: Tensor, wh: tuple[int, int]
+) -> Tensor:
+    """Mean cross-entropy [nats] of matches against where they should lie; 0 if none is visible.
+
+    The flow of a correspondence is taken to hold at the feature next to its left end. The right end
+    falls between four features, which share it by their bilinear weights.
+
+    Args:
+      log_matches: (B, h·w, h·w), see ``matching_loss``.
+      uv_left, uv_right: (B, N, 2) ends of correspondences [features].
+      visible: (B, N) bool: in both images.
+      wh: (w, h) of the feature maps.
+    """
+    counted = visible & inside(uv_left, wh)
     cell = torch.where(counted[..., None], uv_left, 0.0).round()
     target = cell + uv_right - uv_left
     limit = target.new_tensor(wh) - 1

@@ -22,10 +22,18 @@ from flowrect import loop
 from flowrect.config import FlowOptions
 from flowrect.correspondences import Correspondences
 from flowrect.drectify import rectify, warp
-from flowrect.flow_network import MIN_SIDE, FlowCard, FlowNetwork, load_flow, save_flow
+from flowrect.flow_network import (
+    MIN_SIDE,
+    STRIDE,
+    FlowCard,
+    FlowNetwork,
+    Flows,
+    load_flow,
+    save_flow,
+)
 from flowrect.geometry import inside, project, rotation_from_vector
 from flowrect.loading import PairLoader
-from flowrect.losses import across_epipolar_lines
+from flowrect.losses import across_epipolar_lines, match_cross_entropy
 from flowrect.metrics import METRIC_WH
 from flowrect.sample import Batch
 from simgen.errors import UserError
@@ -131,6 +139,16 @@ def error_sizes(predicted: Tensor, seen: Views) -> Tensor:
     return torch.stack([error.norm(dim=-1), across], dim=-1)[counted]
 
 
+def correlation_loss(log_matches: Tensor, batch: Batch) -> Tensor:
+    """Cross-entropy [nats] of matches by correlation (``Flows.log_matches``) against exact flow."""
+    assert batch.truth is not None, "checked by FlowTask.require"
+    h, w = batch.left_metric.shape[-2:]
+    uv, flow, counted = exact_flow(batch.truth, batch.K_left_metric, batch.K_right_metric, (w, h))
+    return match_cross_entropy(
+        log_matches, uv / STRIDE, (uv + flow) / STRIDE, counted, (w // STRIDE, h // STRIDE)
+    )
+
+
 class FlowTask:
     """RAFT and its loss, as ``flowrect.loop`` trains them."""
 
@@ -138,11 +156,12 @@ class FlowTask:
 
     def __init__(self, options: FlowOptions) -> None:
         if any(
-            c % 8 or not MIN_SIDE <= c <= m for c, m in zip(options.crop_wh, METRIC_WH, strict=True)
+            c % STRIDE or not MIN_SIDE <= c <= m
+            for c, m in zip(options.crop_wh, METRIC_WH, strict=True)
         ):
             raise UserError(
-                f"--crop-wh {options.crop_wh}: expected multiples of 8 from {MIN_SIDE} px to "
-                f"{METRIC_WH}."
+                f"--crop-wh {options.crop_wh}: expected multiples of {STRIDE} from {MIN_SIDE} px "
+                f"to {METRIC_WH}."
             )
         self.options = options
         self.input_wh = METRIC_WH
@@ -158,19 +177,22 @@ class FlowTask:
             )
 
     def terms(self, network: torch.nn.Module, batch: Batch) -> dict[str, Tensor]:
-        """Mean error of each refinement [px], the later the heavier."""
+        """Mean error of each refinement [px], the later the heavier; and that of its matches."""
         rng = torch.default_generator
         if torch.rand(()) < self.options.rectified:
             batch = rectified_wrongly(batch, self.options.error_deg, rng=rng).batch
         batch = cropped(batch, self.options.crop_wh, rng=rng)
         updates = self.options.updates
-        flows = network(batch.left_metric, batch.right_metric, updates)
+        flows: Flows = network(batch.left_metric, batch.right_metric, updates)
         total = batch.left_metric.new_zeros((), dtype=torch.float64)
-        for k, flow in enumerate(flows):
+        for k, flow in enumerate(flows.refined):
             error, counted = flow_errors(flow, batch)
             mean = error.abs().sum(-1).sum() / counted.sum().clamp(min=1)
             total = total + DECAY ** (updates - 1 - k) * mean
-        return {"flow": total}
+        terms = {"flow": total}
+        if self.options.matching:
+            terms["matching"] = self.options.matching * correlation_loss(flows.log_matches, batch)
+        return terms
 
     @torch.inference_mode()
     def validate(self, loader: PairLoader) -> dict[str, float]:
