@@ -356,7 +356,7 @@ def render_set(
     progress = progress or Progress()
     state = _State(folder, set_plan, manifest, attributes, compression, pool.workers)
     with _StopSignals() as stop:
-        _restore(state, progress)
+        _restore(state, progress, stop)
         finished = set(state.in_shards())
         folder.clean(finished)
         finished |= {i for i in set_plan.frames if stored_content(folder.frame_path(i))}
@@ -368,11 +368,12 @@ def render_set(
     return state.manifest
 
 
-def _restore(state: _State, progress: Progress) -> None:
+def _restore(state: _State, progress: Progress, stop: _StopSignals) -> None:
     """Takes up what an earlier run left: forgets broken shards, tries failed frames again."""
     kept = []
     _announce_hashing(state, progress)
     for shard in state.manifest.shards:
+        stop.obey()  # until all are looked at, the manifest stays as it was
         if (entry := _intact(state, shard)) is not None:
             kept.append(entry)
         else:

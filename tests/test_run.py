@@ -493,6 +493,25 @@ def test_one_note_tells_that_the_shards_of_a_copy_are_hashed(whole, tmp_path):
     ]
 
 
+def test_ctrl_c_while_a_copy_is_hashed_is_obeyed_after_that_shard(whole, tmp_path, monkeypatch):
+    path, hashed = shutil.copytree(whole, tmp_path / "set"), []
+    for shard in path.glob("*.h5"):
+        shard.touch()
+
+    def interrupted(shard: Path) -> str:
+        hashed.append(shard)
+        os.kill(os.getpid(), signal.SIGINT)
+        return "another"
+
+    monkeypatch.setattr(run, "file_sha256", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _render(path, 7)
+    assert len(hashed) == 1
+    monkeypatch.undo()
+    _render(path, 7)
+    assert _files(path) == _files(whole)
+
+
 def test_a_shard_with_something_appended_is_restored(whole, tmp_path):
     path, rendered = shutil.copytree(whole, tmp_path / "set"), []
     with open(path / "train-00000.h5", "ab") as file:
