@@ -239,7 +239,8 @@ class FlowOptions(LoopOptions):
     """training sees windows of this size, drawn anew each time, of the 512x256 images: multiples
     of 8, at least 128. 256x128 takes a quarter of the time"""
     updates: int = 12
-    """refinements of the flow, each of which is supervised"""
+    """refinements of the flow, each of which is supervised; 0: only features are trained, by
+    ``matching``, at a third of the cost, as a start for --init"""
     matching: float = 0.0
     """beyond RAFT: weight [px/nat] of the cross-entropy of the features' correlation against exact
     flow, over all features of the right image"""

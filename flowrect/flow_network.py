@@ -76,18 +76,23 @@ class FlowNetwork(nn.Module):
 
     def flow(self, left: Tensor, right: Tensor) -> Tensor:
         """Flow (B, 2, H, W) [px] from left to right images (B, 3, H, W)."""
-        return self(left, right).refined[-1]  # type: ignore[no-any-return]
+        return self(left, right).refined[-1]
 
     def forward(self, left: Tensor, right: Tensor, updates: int = UPDATES) -> Flows:
-        """The flow after each of its updates; H and W are multiples of ``STRIDE``."""
+        """The flow after each update, of which there may be none; H and W: multiples of STRIDE."""
         h, w = left.shape[-2:]
         if min(h, w) < MIN_SIDE or h % STRIDE or w % STRIDE:
             raise UserError(
                 f"images of {w}x{h} px cannot be matched by RAFT: expected at least {MIN_SIDE} px "
                 f"along each side, and multiples of {STRIDE}."
             )
-        refined: list[Tensor] = self.raft(2 * left - 1, 2 * right - 1, num_flow_updates=updates)
-        correlation: Tensor = self.raft.corr_block.corr_pyramid[0]  # (B·h·w, 1, h, w)
+        left, right, raft = 2 * left - 1, 2 * right - 1, self.raft
+        refined: list[Tensor] = []
+        if updates:
+            refined = raft(left, right, num_flow_updates=updates)
+        else:
+            raft.corr_block.build_pyramid(*raft.feature_encoder(torch.cat([left, right])).chunk(2))
+        correlation: Tensor = raft.corr_block.corr_pyramid[0]  # (B·h·w, 1, h, w)
         matches = correlation.reshape(len(left), -1, correlation[0].numel())
         return Flows(refined, matches.float().log_softmax(-1))
 

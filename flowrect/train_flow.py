@@ -25,6 +25,7 @@ from flowrect.drectify import rectify, warp
 from flowrect.flow_network import (
     MIN_SIDE,
     STRIDE,
+    UPDATES,
     FlowCard,
     FlowNetwork,
     Flows,
@@ -152,9 +153,11 @@ def correlation_loss(log_matches: Tensor, batch: Batch) -> Tensor:
 class FlowTask:
     """RAFT and its loss, as ``flowrect.loop`` trains them."""
 
-    score = "end_point_px"
-
     def __init__(self, options: FlowOptions) -> None:
+        if not (options.updates or options.matching):
+            raise UserError(
+                "nothing to minimise: --updates and --matching are 0. Take one of them."
+            )
         if any(
             c % STRIDE or not MIN_SIDE <= c <= m
             for c, m in zip(options.crop_wh, METRIC_WH, strict=True)
@@ -166,7 +169,10 @@ class FlowTask:
         self.options = options
         self.input_wh = METRIC_WH
         network = load_flow(options.init).requires_grad_(True) if options.init else FlowNetwork()
+        if not options.updates:
+            network.requires_grad_(False).raft.feature_encoder.requires_grad_(True)
         self.model: FlowNetwork = network.train()
+        self.score = "end_point_px" if options.updates else "matching_nats"
 
     def require(self, batch: Batch) -> None:
         """Raises where there is no exact flow."""
@@ -184,35 +190,44 @@ class FlowTask:
         batch = cropped(batch, self.options.crop_wh, rng=rng)
         updates = self.options.updates
         flows: Flows = network(batch.left_metric, batch.right_metric, updates)
-        total = batch.left_metric.new_zeros((), dtype=torch.float64)
-        for k, flow in enumerate(flows.refined):
-            error, counted = flow_errors(flow, batch)
-            mean = error.abs().sum(-1).sum() / counted.sum().clamp(min=1)
-            total = total + DECAY ** (updates - 1 - k) * mean
-        terms = {"flow": total}
+        terms = {}
+        if updates:
+            total = batch.left_metric.new_zeros((), dtype=torch.float64)
+            for k, flow in enumerate(flows.refined):
+                error, counted = flow_errors(flow, batch)
+                mean = error.abs().sum(-1).sum() / counted.sum().clamp(min=1)
+                total = total + DECAY ** (updates - 1 - k) * mean
+            terms["flow"] = total
         if self.options.matching:
             terms["matching"] = self.options.matching * correlation_loss(flows.log_matches, batch)
         return terms
 
     @torch.inference_mode()
     def validate(self, loader: PairLoader) -> dict[str, float]:
-        """Mean end-point error and median |vertical error| [px], perturbed and rectified pairs."""
+        """Of perturbed and of rectified pairs: mean end-point error and median |vertical error|
+        [px], if any refinement is trained, and mean cross-entropy of the matches [nats]."""
         device = next(self.model.parameters()).device
         rng = torch.Generator().manual_seed(0)
         errors: dict[str, list[Tensor]] = {"": [], "rectified_": []}
+        nats: dict[str, list[Tensor]] = {"": [], "rectified_": []}
         self.model.eval()
         for batch in loader:
             batch = batch.to(device)
             wrong = rectified_wrongly(batch, self.options.error_deg, rng=rng)
             for kind, seen in (("", as_they_stand(batch)), ("rectified_", wrong)):
-                flow = self.model.flow(seen.batch.left_metric, seen.batch.right_metric)
-                errors[kind].append(error_sizes(flow, seen))
+                updates = UPDATES if self.options.updates else 0
+                flows = self.model(seen.batch.left_metric, seen.batch.right_metric, updates)
+                nats[kind].append(correlation_loss(flows.log_matches, seen.batch))
+                if updates:
+                    errors[kind].append(error_sizes(flows.refined[-1], seen))
         self.model.train()
         scores = {}
-        for kind, parts in errors.items():
-            end_point, vertical = torch.cat(parts).unbind(-1)
-            scores[f"{kind}end_point_px"] = end_point.mean().item()
-            scores[f"{kind}vertical_median_px"] = vertical.median().item()
+        for kind in errors:
+            if errors[kind]:
+                end_point, vertical = torch.cat(errors[kind]).unbind(-1)
+                scores[f"{kind}end_point_px"] = end_point.mean().item()
+                scores[f"{kind}vertical_median_px"] = vertical.median().item()
+            scores[f"{kind}matching_nats"] = torch.stack(nats[kind]).mean().item()
         return scores
 
     def save(self, path: Path, seen: loop.Seen) -> None:

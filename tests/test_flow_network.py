@@ -199,8 +199,8 @@ def test_a_finished_training_says_its_scores(data, tmp_path, two_updates):
     whole = flow_options(data, tmp_path / "whole")
     scores = train_flow.train_flow(whole)
     assert set(scores) == {
-        "end_point_px", "vertical_median_px", "rectified_end_point_px",
-        "rectified_vertical_median_px",
+        "end_point_px", "vertical_median_px", "matching_nats", "rectified_end_point_px",
+        "rectified_vertical_median_px", "rectified_matching_nats",
     }  # fmt: skip
     rows = [json.loads(x) for x in (whole.out / "metrics.jsonl").read_text().splitlines()]
     assert all(np.isfinite(r["loss"]) for r in rows if "loss" in r)
@@ -269,6 +269,20 @@ def test_the_matching_term_is_weighted(data, tmp_path):
     assert terms["matching"].item() == pytest.approx(
         2 * train_flow.correlation_loss(log_matches, batch).item(), rel=0.3
     )  # of another window
+
+
+def test_without_refinements_only_features_learn(data, tmp_path, weights):
+    options = flow_options(data, tmp_path, updates=0, matching=1.0, init=str(weights), max_steps=1)
+    scores = train_flow.train_flow(options)
+    assert set(scores) == {"matching_nats", "rectified_matching_nats"}
+    before, after = load_file(weights), load_file(tmp_path / "last.safetensors")
+    learnt = {k.split(".")[0] for k in before if not torch.equal(before[k], after[k])}
+    assert learnt == {"feature_encoder"}
+
+
+def test_no_flow_to_learn_is_refused(data, tmp_path):
+    with pytest.raises(UserError, match="nothing to minimise: --updates and --matching are 0"):
+        train_flow.train_flow(flow_options(data, tmp_path, updates=0))
 
 
 def test_weights_come_back(weights):
