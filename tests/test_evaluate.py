@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+import subprocess
+import sys
 from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import replace
@@ -262,6 +264,18 @@ def test_a_network_has_no_solution_for_images_that_hardly_match(name):
     start = transform(np.eye(3), np.array([-0.8, 0.0, 0.0]))
     with pytest.raises(NoSolution, match="images hardly match: the most probable matches have 0"):
         load_method(name)(left, right, K_SMALL, K_SMALL, start)
+
+
+@pytest.mark.slow  # a process of its own, which starts another
+def test_the_command_prints_no_warning_of_python(data, tmp_path):
+    out = str(tmp_path / "results")
+    options = ["--methods", "network", "--limit", "1", "--size", "96x48", "--out", out]
+    done = subprocess.run(
+        [sys.executable, "-m", "flowrect.evaluate", "--data", str(data), *options],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
 
 
 def test_whatever_a_method_does_to_one_pair_the_others_are_predicted(wall, tmp_path):

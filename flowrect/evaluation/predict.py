@@ -176,7 +176,8 @@ def _fork_server() -> BaseContext:
     The server computes nothing: it has neither a GPU nor threads in use when it forks.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["flowrect.evaluate"])  # what the command's processes import
+    # What the command imports, but not itself: of that Python would warn whoever runs it by -m.
+    context.set_forkserver_preload(["flowrect.evaluation.report", "flowrect.methods"])
     return context
 
 
