@@ -62,9 +62,9 @@ class Flows(NamedTuple):
 
     refined: list[Tensor]
     """the flow (B, 2, H, W) [px] from left to right after each update"""
-    log_matches: Tensor
-    """(B, h·w, h·w): for each left feature, row by row, the log-probability of each right one by
-    their correlation alone; h = H / STRIDE, w = W / STRIDE"""
+    correlation: Tensor
+    """(B, h·w, h·w) of each left feature, row by row, with each right one; h = H / STRIDE, w = W /
+    STRIDE"""
 
 
 class FlowNetwork(nn.Module):
@@ -93,8 +93,7 @@ class FlowNetwork(nn.Module):
         else:
             raft.corr_block.build_pyramid(*raft.feature_encoder(torch.cat([left, right])).chunk(2))
         correlation: Tensor = raft.corr_block.corr_pyramid[0]  # (B·h·w, 1, h, w)
-        matches = correlation.reshape(len(left), -1, correlation[0].numel())
-        return Flows(refined, matches.float().log_softmax(-1))
+        return Flows(refined, correlation.reshape(len(left), -1, correlation[0].numel()))
 
     def frozen(self) -> FlowNetwork:
         """The network as a teacher: gradients pass through it, but it does not learn."""

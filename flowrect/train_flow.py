@@ -140,14 +140,15 @@ def error_sizes(predicted: Tensor, seen: Views) -> Tensor:
     return torch.stack([error.norm(dim=-1), across], dim=-1)[counted]
 
 
-def correlation_loss(log_matches: Tensor, batch: Batch) -> Tensor:
-    """Cross-entropy [nats] of matches by correlation (``Flows.log_matches``) against exact flow."""
+def correlation_loss(correlation: Tensor, batch: Batch) -> Tensor:
+    """Cross-entropy [nats] of matches by ``Flows.correlation`` alone against exact flow."""
     assert batch.truth is not None, "checked by FlowTask.require"
     h, w = batch.left_metric.shape[-2:]
     uv, flow, counted = exact_flow(batch.truth, batch.K_left_metric, batch.K_right_metric, (w, h))
     return match_cross_entropy(
-        log_matches, uv / STRIDE, (uv + flow) / STRIDE, counted, (w // STRIDE, h // STRIDE)
-    )
+        correlation.float().log_softmax(-1),
+        uv / STRIDE, (uv + flow) / STRIDE, counted, (w // STRIDE, h // STRIDE),
+    )  # fmt: skip
 
 
 class FlowTask:
@@ -199,7 +200,7 @@ class FlowTask:
                 total = total + DECAY ** (updates - 1 - k) * mean
             terms["flow"] = total
         if self.options.matching:
-            terms["matching"] = self.options.matching * correlation_loss(flows.log_matches, batch)
+            terms["matching"] = self.options.matching * correlation_loss(flows.correlation, batch)
         return terms
 
     @torch.inference_mode()
@@ -217,7 +218,7 @@ class FlowTask:
             for kind, seen in (("", as_they_stand(batch)), ("rectified_", wrong)):
                 updates = UPDATES if self.options.updates else 0
                 flows = self.model(seen.batch.left_metric, seen.batch.right_metric, updates)
-                nats[kind].append(correlation_loss(flows.log_matches, seen.batch))
+                nats[kind].append(correlation_loss(flows.correlation, seen.batch))
                 if updates:
                     errors[kind].append(error_sizes(flows.refined[-1], seen))
         self.model.train()

@@ -47,6 +47,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def two_updates(monkeypatch: pytest.MonkeyPatch) -> None:
     """RAFT refines its flow twice instead of 12 times, where how well it sees is of no account."""
     monkeypatch.setattr(FlowNetwork, "flow", lambda raft, *images: raft(*images, 2).refined[-1])
+    monkeypatch.setattr(train_flow, "UPDATES", 2)  # of validation
 
 
 def batch_of(data: Path, augmentation: Augmentation | None, num: int = 2) -> Batch:
@@ -232,17 +233,17 @@ def test_a_step_towards_the_truth_lowers_the_error(data):
 def test_matches_are_the_features_correlation(weights):
     raft = load_flow(str(weights))
     images = torch.rand(2, 1, 3, 128, 136, generator=torch.Generator().manual_seed(0))
-    log_matches = raft(*images, 1).log_matches
+    correlation = raft(*images, 1).correlation
     left, right = (raft.raft.feature_encoder(2 * x - 1)[0].flatten(1) for x in images)
-    expected = (left.T @ right / left.shape[0] ** 0.5).log_softmax(-1)
-    torch.testing.assert_close(log_matches[0], expected, rtol=0, atol=1e-4)
+    expected = left.T @ right / left.shape[0] ** 0.5
+    torch.testing.assert_close(correlation[0], expected, rtol=0, atol=1e-4)
 
 
 def test_correlation_is_taught_where_the_right_end_lies(data):
     """Matches at the true feature, by the stored flow, cost least; if none is known, log(h·w)."""
     batch = batch_of(data, None, num=1)
     h, w = (s // 8 for s in batch.left_metric.shape[-2:])
-    uniform = torch.zeros(1, h * w, h * w).log_softmax(-1)
+    uniform = torch.zeros(1, h * w, h * w)
     loss = train_flow.correlation_loss(uniform, batch)
     assert loss.item() == pytest.approx(np.log(h * w), abs=1e-6)
 
@@ -254,8 +255,8 @@ def test_correlation_is_taught_where_the_right_end_lies(data):
     known = ((u < w) & (v < h) & (u_right < w) & (v_right < h)).nonzero()[:, 0]
     scores = torch.zeros(1, h * w, h * w)
     scores[0, (v * w + u)[known], (v_right * w + u_right)[known]] = 5
-    taught = train_flow.correlation_loss(scores.log_softmax(-1), batch)
-    turned = train_flow.correlation_loss(scores.flip(-1).log_softmax(-1), batch)
+    taught = train_flow.correlation_loss(scores, batch)
+    turned = train_flow.correlation_loss(scores.flip(-1), batch)
     assert taught < 0.7 * loss
     assert turned > loss
 
@@ -264,10 +265,10 @@ def test_the_matching_term_is_weighted(data, tmp_path):
     task = train_flow.FlowTask(flow_options(data, tmp_path, matching=2.0, rectified=0.0))
     batch = batch_of(data, None, num=1)
     terms = task.terms(task.model, batch)
-    log_matches = task.model(batch.left_metric, batch.right_metric, 1).log_matches
+    correlation = task.model(batch.left_metric, batch.right_metric, 1).correlation
     assert set(terms) == {"flow", "matching"}
     assert terms["matching"].item() == pytest.approx(
-        2 * train_flow.correlation_loss(log_matches, batch).item(), rel=0.3
+        2 * train_flow.correlation_loss(correlation, batch).item(), rel=0.3
     )  # of another window
 
 
