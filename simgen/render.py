@@ -38,8 +38,9 @@ RR_DEPTH = 1
 time, and the same mean radiance to 4 digits."""
 MIN_ALBEDO = 0.06
 """Irradiance of darker surfaces is not divided further: black would blow the noise up, and what
-dark paint mirrors would spill over lighter neighbours. With 0.03, cars had 1.9 to 2.6 times the
-true power at 4 to 8 px, so 1.2 to 1.5 times; with 0.1 the road lost a fifth of its finest octave.
+dark paint mirrors would spill over lighter neighbours. In a trial, cars had 1.9 to 2.6 times
+the true power at 4 to 8 px with 0.03, 1.2 to 1.5 times so, and with 0.1 the road lost a fifth of
+its finest octave (docs/scenes.md).
 """
 EDGES_BELOW_M = 5000.0
 """In clearer air than this [m], a mean distance at an edge is as good."""
