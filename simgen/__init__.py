@@ -1,3 +1,3 @@
 """simgen: road scenes with a wide-baseline camera rig, rendered with exact ground truth."""
 
-__version__ = "0.2.0.dev2"
+__version__ = "0.2.0.dev3"

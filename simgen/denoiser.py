@@ -42,24 +42,31 @@ def _device(threads: int) -> Any:
 
 
 def denoised(
-    irradiance: NDArray[Any], normal: NDArray[Any], *, memory_mb: int = MEMORY_MB
+    irradiance: NDArray[Any],
+    albedo: NDArray[Any],
+    normal: NDArray[Any],
+    *,
+    memory_mb: int = MEMORY_MB,
 ) -> NDArray[Any]:
-    """Linear irradiance (H, W, 3) float32 without its noise, guided by normals (H, W, 3).
+    """Linear irradiance (H, W, 3) float32 without its noise, guided by two images like it.
 
-    By normals alone: with the albedo as a guide the denoiser drew its texture into the irradiance,
-    which then counted twice (1.7 times the true power in the finest octave).
+    Args:
+      albedo: what is left of it in the irradiance, 1 where that was divided by all of it. The
+        whole albedo as a guide was drawn into the irradiance, and then counted twice (1.7 times
+        the true power in the finest octave).
+      normal: of the surfaces.
 
     Raises ValueError for other shapes, OSError with what the library says: that is the machine's
     fault, not the frame's.
     """
-    if not irradiance.shape == normal.shape == (*irradiance.shape[:2], 3):
+    if not irradiance.shape == albedo.shape == normal.shape == (*irradiance.shape[:2], 3):
         raise ValueError(
-            f"denoised: expected two images (H, W, 3), came irradiance {irradiance.shape} and "
-            f"normal {normal.shape}"
+            f"denoised: expected three images (H, W, 3), came irradiance {irradiance.shape}, "
+            f"albedo {albedo.shape} and normal {normal.shape}"
         )
     images = {
         "color": np.ascontiguousarray(irradiance, np.float32),
-        "albedo": np.ones(irradiance.shape, np.float32),
+        "albedo": np.ascontiguousarray(albedo, np.float32),
         "normal": np.ascontiguousarray(normal, np.float32),
         "output": np.empty(irradiance.shape, np.float32),
     }

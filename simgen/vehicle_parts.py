@@ -67,7 +67,7 @@ SEAM: Finish = ("matte", (0.012, 0.012, 0.012))
 ALLOY: Finish = ("metal", (0.55, 0.56, 0.58))
 STEEL: Finish = ("metal", STEEL_RGB)
 STEEL_PAINT: Finish = ("matte", STEEL_RGB)
-WHITE_LAMP: Finish = ("lamp", (0.72, 0.72, 0.70))
+WHITE_LAMP: Finish = ("lamp", (0.45, 0.45, 0.46))  # a mirror in a dark bowl, not paper
 RED_LAMP: Finish = ("lamp", (0.35, 0.01, 0.01))
 AMBER_LAMP: Finish = ("lamp", (0.55, 0.20, 0.01))
 

@@ -23,19 +23,35 @@ def noisy() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return clean.astype(np.float32), (clean * noise).astype(np.float32), normal
 
 
+def ones() -> np.ndarray:
+    """All of the albedo was divided out."""
+    return np.ones((*WH[::-1], 3), np.float32)
+
+
 def test_noise_goes_and_light_stays(noisy):
     clean, grainy, normal = noisy
-    found = denoised(grainy, normal)
+    found = denoised(grainy, ones(), normal)
     assert found.dtype == np.float32
     assert np.abs(found - clean).mean() < 0.1 * np.abs(grainy - clean).mean()
     assert found.mean() == pytest.approx(clean.mean(), rel=0.05)
 
 
+def test_panes_stay_apart_from_paint_by_the_albedo_that_is_left():
+    """Stripes of 8 pixels, a third darker, under noise: normals alone do not tell them apart."""
+    rng = np.random.default_rng(1)
+    left = np.where(np.arange(WH[0]) // 8 % 2, 0.67, 1.0).astype(np.float32)
+    left = np.ascontiguousarray(np.broadcast_to(left[None, :, None], (*WH[::-1], 3)))
+    grainy = left * rng.gamma(1.0, 1.0, (*WH[::-1], 1)).astype(np.float32)
+    normal = np.zeros_like(left)
+    normal[..., 2] = 1
+    told, untold = (np.abs(denoised(grainy, a, normal) - left).mean() for a in (left, ones()))
+    assert told < 0.5 * untold
+
+
 def test_tiles_change_no_bit(noisy):
     _, grainy, normal = noisy
-    np.testing.assert_array_equal(
-        denoised(grainy, normal, memory_mb=16), denoised(grainy, normal, memory_mb=4000)
-    )
+    few, many = (denoised(grainy, ones(), normal, memory_mb=m) for m in (16, 4000))
+    np.testing.assert_array_equal(few, many)
 
 
 def test_threads_change_no_bit(noisy, monkeypatch):
@@ -43,31 +59,35 @@ def test_threads_change_no_bit(noisy, monkeypatch):
     found = []
     for threads in (1, 2):
         monkeypatch.setattr(dr, "thread_count", lambda n=threads: n)
-        found.append(denoised(grainy, normal))
+        found.append(denoised(grainy, ones(), normal))
     np.testing.assert_array_equal(*found)
 
 
 def test_it_is_what_the_package_s_own_call_gives(noisy):
     _, grainy, normal = noisy
-    theirs = pyoidn.denoise(grainy, albedo=np.ones_like(grainy), normal=normal, hdr=True,
+    theirs = pyoidn.denoise(grainy, albedo=ones(), normal=normal, hdr=True,
                             clean_aux=True, quality="fast")  # fmt: skip
-    np.testing.assert_array_equal(denoised(grainy, normal), theirs)
+    np.testing.assert_array_equal(denoised(grainy, ones(), normal), theirs)
 
 
 def test_inputs_stay_as_they_are_in_any_layout(noisy):
     _, grainy, normal = noisy
     before = grainy.copy()
     backwards = np.ascontiguousarray(grainy[::-1])[::-1]
-    np.testing.assert_array_equal(denoised(backwards, normal), denoised(grainy, normal))
+    found = denoised(backwards, ones(), normal)
+    np.testing.assert_array_equal(found, denoised(grainy, ones(), normal))
     np.testing.assert_array_equal(grainy, before)
 
 
 def test_images_that_do_not_fit_are_refused():
     """The library would read beyond the smaller one."""
-    with pytest.raises(ValueError, match=r"irradiance \(8, 8, 3\) and normal \(4, 4, 3\)"):
-        denoised(np.zeros((8, 8, 3), np.float32), np.zeros((4, 4, 3), np.float32))
+    large, small, grey = (np.zeros(s, np.float32) for s in ((8, 8, 3), (4, 4, 3), (8, 8)))
+    with pytest.raises(ValueError, match=r"albedo \(8, 8, 3\) and normal \(4, 4, 3\)"):
+        denoised(large, large, small)
+    with pytest.raises(ValueError, match=r"albedo \(4, 4, 3\) and normal \(8, 8, 3\)"):
+        denoised(large, small, large)
     with pytest.raises(ValueError, match=r"irradiance \(8, 8\)"):
-        denoised(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
+        denoised(grey, grey, grey)
 
 
 def test_what_the_library_refuses_is_said(noisy, monkeypatch):
@@ -78,4 +98,4 @@ def test_what_the_library_refuses_is_said(noisy, monkeypatch):
 
     monkeypatch.setattr(pyoidn, "Filter", Forgetful)
     with pytest.raises(OSError, match="Open Image Denoise: output image not specified"):
-        denoised(noisy[1], noisy[2])
+        denoised(noisy[1], ones(), noisy[2])
