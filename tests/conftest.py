@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-LONGEST = ("test_produce", "test_world", "test_evaluate", "test_rivals", "test_daylight",
-           "test_matchers", "test_validate", "test_train", "test_flow_network", "test_onnx",
-           "test_run", "test_roads", "test_wetness", "test_crossings")  # fmt: skip
+LONGEST = ("test_produce", "test_world", "test_places", "test_onnx", "test_run",
+           "test_flow_network", "test_evaluate", "test_crossings", "test_cli", "test_hitnet",
+           "test_drectify", "test_planting", "test_report", "test_evaluate_depth")  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
