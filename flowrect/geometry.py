@@ -189,8 +189,8 @@ def unproject(K: Tensor, uv: Tensor) -> Tensor:
 
 def inside(uv: Tensor, wh: tuple[int, int]) -> Tensor:
     """True (…) where uv (…, 2) lies on the image's area: −½ ≤ u < W − ½, −½ ≤ v < H − ½."""
-    size = torch.tensor(wh, dtype=uv.dtype, device=uv.device)
-    return ((uv >= -0.5) & (uv < size - 0.5)).all(-1)
+    u, v = uv.unbind(-1)  # by themselves: all(-1) of two takes longer than the comparisons
+    return (u >= -0.5) & (u < wh[0] - 0.5) & (v >= -0.5) & (v < wh[1] - 0.5)
 
 
 def pixel_grid(wh: tuple[int, int], *, dtype: torch.dtype, device: torch.device) -> Tensor:
