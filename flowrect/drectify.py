@@ -28,6 +28,9 @@ from flowrect.geometry import (
     unproject,
 )
 
+ROUNDING_PX = 1e-10
+"""That positions may be off: images that nothing turns keep their outermost pixels."""
+
 
 @dataclass(frozen=True)
 class Rectification:
@@ -133,15 +136,19 @@ def warp(
       wh_out: its size.
 
     Returns:
-      The rectified image (B, C, H, W), and valid (B, 1, H, W): True exactly where the source
-      position lies in the hull of the source's pixel *centres*, 0 ≤ u ≤ w − 1 and 0 ≤ v ≤ h − 1:
-      there no black is mixed in. Over the next pixel outwards the image fades to black.
+      The rectified image (B, C, H, W), and valid (B, 1, H, W): True where the source position
+      lies in the hull of the source's pixel *centres*, 0 ≤ u ≤ w − 1 and 0 ≤ v ≤ h − 1 within
+      ``ROUNDING_PX``: there no black is mixed in. Over the next pixel outwards the image fades to
+      black.
     """
     uv = source_positions(K.double(), R_rect.double(), K_new.double(), wh_out)
     h, w = image.shape[-2:]
     last = torch.tensor([w - 1, h - 1], dtype=uv.dtype, device=uv.device)
     u, v = uv.unbind(-1)
-    valid = ((u >= 0) & (u <= w - 1) & (v >= 0) & (v <= h - 1))[:, None]
+    valid = (
+        (u >= -ROUNDING_PX) & (u <= w - 1 + ROUNDING_PX)
+        & (v >= -ROUNDING_PX) & (v <= h - 1 + ROUNDING_PX)
+    )[:, None]  # fmt: skip
     dtype = torch.promote_types(image.dtype, torch.float32)  # half types cannot tell pixels apart
     grid = ((2 * uv + 1) / (last + 1) - 1).to(dtype)
     warped = F.grid_sample(image.to(dtype), grid, padding_mode="zeros", align_corners=False)

@@ -98,30 +98,41 @@ class ImageError:
     """mean over both views and the pixels that both rectifications fill; NaN if there is none"""
 
 
-def rectified_image_error(
+@dataclass(frozen=True)
+class RectifiedViews:
+    """Both images of each pair in the rectified frame."""
+
+    images: Tensor
+    """(B, 2, C, H, W), left and right; black where there is no image"""
+    filled: Tensor
+    """(B, 2, H, W) as drectify.warp has it"""
+    K_new: Tensor
+    """(B, 3, 3) [px]"""
+
+
+def rectified_views(
     left: Tensor,
     right: Tensor,
     K_left: Tensor,
     K_right: Tensor,
     rect: Rectification,
-    rect_gt: Rectification,
     wh: tuple[int, int] = METRIC_WH,
-) -> ImageError:
-    """Images (B, C, h, w) rectified by the estimate against the same rectified by the truth.
+) -> RectifiedViews:
+    """Images (B, C, h, w) with K (B, 3, 3), warped into the rectified frame."""
+    sides = (left, K_left, rect.R_left), (right, K_right, rect.R_right)
+    both = [warp(image, K, R_rect, rect.K_new, wh) for image, K, R_rect in sides]
+    images, filled = (torch.stack(x, dim=1) for x in zip(*both, strict=True))
+    return RectifiedViews(images, filled[:, :, 0], rect.K_new)
+
+
+def rectified_image_error(estimate: RectifiedViews, exact: RectifiedViews) -> ImageError:
+    """Images rectified by the estimate against the same rectified by the truth.
 
     Both with one K_new, of the nominal rig: otherwise the error would be that of the scale.
     """
-    _require_one_scale(rect, rect_gt)
-    errors, valids = [], []
-    for image, K, R, R_gt in (
-        (left, K_left, rect.R_left, rect_gt.R_left),
-        (right, K_right, rect.R_right, rect_gt.R_right),
-    ):
-        estimate, valid = warp(image, K, R, rect.K_new, wh)
-        exact, valid_gt = warp(image, K, R_gt, rect.K_new, wh)
-        errors.append((estimate - exact).abs().mean(1))
-        valids.append((valid & valid_gt)[:, 0])
-    error, filled = torch.stack(errors, dim=1), torch.stack(valids, dim=1)
+    _require_one_scale(estimate, exact)
+    error = (estimate.images - exact.images).abs().mean(2)
+    filled = estimate.filled & exact.filled
     return ImageError(error.sum(1).mean((-2, -1)), _mean_per_pair(error, filled))
 
 
@@ -196,8 +207,10 @@ def _mean_per_pair(values: Tensor, counted: Tensor, *, signed: bool = False) -> 
     return values.flatten(1).sum(1) / counted.flatten(1).sum(1)
 
 
-def _require_one_scale(rect: Rectification, rect_gt: Rectification) -> None:
-    difference = float((rect.K_new - rect_gt.K_new).abs().max())
+def _require_one_scale(
+    estimate: Rectification | RectifiedViews, exact: Rectification | RectifiedViews
+) -> None:
+    difference = float((estimate.K_new - exact.K_new).abs().max())
     if difference > 0:
         raise ValueError(
             f"the two rectifications have intrinsics {difference:.3g} px apart, expected one K_new "

@@ -251,6 +251,16 @@ def test_white_image_stays_white_where_valid_and_is_darker_elsewhere_only():
     assert (warped[beyond] < 1e-3).all()
 
 
+def test_an_image_that_nothing_turns_keeps_its_outermost_pixels():
+    for size in ((512, 256), (320, 160), (97, 41)):
+        K = torch.tensor([[[0.7 * size[0], 0, 0.47 * size[0]], [0, 0.71 * size[0], 0.53 * size[1]],
+                           [0, 0, 1]]], dtype=torch.float64)  # fmt: skip
+        image = torch.rand(1, 3, *size[::-1])
+        warped, valid = warp(image, K, torch.eye(3, dtype=torch.float64)[None], K, size)
+        assert valid.all()
+        torch.testing.assert_close(warped, image, atol=1e-5, rtol=0)
+
+
 def test_pixels_that_look_behind_the_camera_are_black_and_invalid():
     K = torch.tensor([[[20.0, 0, 9.5], [0, 20, 9.5], [0, 0, 1]]]).double()
     about = rotation_from_vector(torch.tensor([[0.0, torch.pi, 0.0]]).double())

@@ -123,14 +123,18 @@ def images(n: int, *, seed: int) -> torch.Tensor:
     return torch.as_tensor(smooth).permute(0, 3, 1, 2)
 
 
+def image_error(left, right, pairs, *rectifications) -> metrics.ImageError:
+    K = pairs.K_left, pairs.K_right
+    views = (metrics.rectified_views(left, right, *K, rect, WH) for rect in rectifications)
+    return metrics.rectified_image_error(*views)
+
+
 def test_image_error_is_that_of_opencv_on_each_view():
     pairs = analytic_pairs(1, seed=10)
     left, right = images(2, seed=10).split(1)
     rect_gt = rectification(pairs, pairs.R)
     rect = rectification(pairs, estimate_off_by(pairs, (1.0, -0.5, 0.7)))
-    error = metrics.rectified_image_error(
-        left, right, pairs.K_left, pairs.K_right, rect, rect_gt, WH
-    )
+    error = image_error(left, right, pairs, rect, rect_gt)
     sums, values = 0.0, []
     for image, side in ((left, "R_left"), (right, "R_right")):
         pixels = image[0].permute(1, 2, 0).numpy()
@@ -152,7 +156,7 @@ def test_images_rectified_by_the_truth_have_no_error():
     pairs = analytic_pairs(2, seed=11)
     rect = rectification(pairs, pairs.R)
     x = images(2, seed=11)
-    error = metrics.rectified_image_error(x, x, pairs.K_left, pairs.K_right, rect, rect, WH)
+    error = image_error(x, x, pairs, rect, rect)
     assert (error.paper == 0).all()
     assert (error.valid == 0).all()
 
@@ -162,9 +166,7 @@ def test_black_borders_count_in_the_papers_error_only():
     white = torch.ones(1, 3, WH[1], WH[0])
     rect_gt = rectification(pairs, pairs.R)
     rect = rectification(pairs, estimate_off_by(pairs, (4.0, 0.0, 0.0)))
-    error = metrics.rectified_image_error(
-        white, white, pairs.K_left, pairs.K_right, rect, rect_gt, WH
-    )
+    error = image_error(white, white, pairs, rect, rect_gt)
     assert error.paper > 0.02
     assert error.valid < 1e-5
 

@@ -14,21 +14,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from flowrect.drectify import Rectification, rectify, warp
+from flowrect.correspondences import Correspondences
+from flowrect.drectify import Rectification, rectify
 from flowrect.evaluation.delivered import Delivered, Translation, prior
 from flowrect.evaluation.offsets import Look
 from flowrect.evaluation.predictions import Prediction
 from flowrect.methods import PoseEstimate
 from flowrect.metrics import (
     METRIC_WH,
+    RectifiedViews,
     angles_deg,
     disparity_bias,
     exact_vertical_flow,
     geodesic_deg,
     rectified_image_error,
+    rectified_views,
     unrectified_vertical_flow,
 )
-from flowrect.sample import Batch, Image, collate
+from flowrect.sample import Batch, Image, Prepared, collate
 
 ANGLES = ("pitch_deg", "yaw_deg", "roll_deg", "geodesic_deg")
 TRUTH, UNRECTIFIED = "truth", "unrectified"
@@ -79,21 +82,21 @@ def scored(
     """
     for i in range(len(pairs)):
         prepared = pairs[i]
-        batch, pair = collate([prepared]), prepared.input
+        pair, truth = prepared.input, _Truth.of(prepared)
         look = looks if i in set(matched) else ()
         found = []
         for translation in translations:
             start = prior(pair, translation)
             nominal = PoseEstimate(start[:3, :3], start[:3, 3])
             assert pair.T_right_left is not None
-            truth = PoseEstimate(pair.T_right_left[:3, :3], pair.T_right_left[:3, 3])
+            exact = PoseEstimate(pair.T_right_left[:3, :3], pair.T_right_left[:3, 3])
             own = {UNRECTIFIED: Prediction(i, pair.name, nominal),
-                   TRUTH: Prediction(i, pair.name, truth)}  # fmt: skip
+                   TRUTH: Prediction(i, pair.name, exact)}  # fmt: skip
             for method in [UNRECTIFIED, *_methods(rows, translation), TRUTH]:
                 row = own.get(method) or rows[method, translation].get(i)
                 if row is None:
                     continue
-                figures, failure = _scored(batch, row, nominal, translation, look)
+                figures, failure = _scored(truth, row, nominal, translation, look)
                 known = row.known
                 found.append(Score(
                     method, translation, i, pair.name, pair.scene, pair.weather, pair.daylight,
@@ -103,8 +106,35 @@ def scored(
         yield found
 
 
+@dataclass(frozen=True)
+class _Truth:
+    """A pair, and all that is the same for every estimate of its pose."""
+
+    batch: Batch
+    nominal: Rectification
+    exact: Rectification
+    """by the true pose, with the nominal one's K_new"""
+    exact_views: RectifiedViews
+    some: Correspondences | None
+    """of its points, enough for a bias"""
+
+    @staticmethod
+    @torch.inference_mode()
+    def of(prepared: Prepared) -> _Truth:
+        batch = collate([prepared])
+        K = batch.K_left_metric, batch.K_right_metric
+        nominal = rectify(batch.R_nominal, batch.t_nominal, *K, METRIC_WH)
+        assert batch.R is not None
+        assert batch.t is not None
+        exact = rectify(batch.R, batch.t, *K, METRIC_WH, K_new=nominal.K_new)
+        views = rectified_views(batch.left_metric, batch.right_metric, *K, exact)
+        every = slice(None, None, BIAS_EVERY)
+        some = batch.truth.subset(every) if batch.truth is not None else None
+        return _Truth(batch, nominal, exact, views, some)
+
+
 def _scored(
-    batch: Batch,
+    truth: _Truth,
     row: Prediction,
     nominal: PoseEstimate,
     translation: Translation,
@@ -113,11 +143,11 @@ def _scored(
     """Figures, and why they, or those in pixels, are the prior's if they are."""
     as_it_is = row.estimate is nominal
     if row.estimate is None:
-        return _figures(batch, nominal, translation, looks), row.failure
-    figures = _figures(batch, row.estimate, translation, looks, as_it_is=as_it_is)
-    if batch.truth is not None and np.isnan(figures["vertical_flow_px"]):
+        return _figures(truth, nominal, translation, looks), row.failure
+    figures = _figures(truth, row.estimate, translation, looks, as_it_is=as_it_is)
+    if truth.some is not None and np.isnan(figures["vertical_flow_px"]):
         own = {name: figures[name] for name in ANGLES}
-        left_over = _figures(batch, nominal, translation, looks) | own
+        left_over = _figures(truth, nominal, translation, looks) | own
         return left_over, "its rectified images have nothing in common"
     return figures, ""
 
@@ -128,7 +158,7 @@ def _methods(rows: Rows, translation: Translation) -> list[str]:
 
 @torch.inference_mode()
 def _figures(
-    batch: Batch,
+    truth: _Truth,
     estimate: PoseEstimate,
     translation: Translation,
     looks: Sequence[Look],
@@ -139,57 +169,46 @@ def _figures(
 
     ``as_it_is``: images are not warped at all.
     """
+    batch, K = truth.batch, (truth.batch.K_left_metric, truth.batch.K_right_metric)
     assert batch.R is not None
     assert batch.t is not None
-    K_left, K_right = batch.K_left_metric, batch.K_right_metric
-    nominal = rectify(batch.R_nominal, batch.t_nominal, K_left, K_right, METRIC_WH)
+    views = batch.left_metric, batch.right_metric, *K
     t = batch.t if translation == "gt" else _tensor(estimate.t)
     R = _tensor(estimate.R)
-    rect = rectify(R, t, K_left, K_right, METRIC_WH)
-    one_scale = rectify(R, t, K_left, K_right, METRIC_WH, K_new=nominal.K_new)
-    exact = rectify(batch.R, batch.t, K_left, K_right, METRIC_WH, K_new=nominal.K_new)
-    views = batch.left_metric, batch.right_metric, K_left, K_right
-    error = rectified_image_error(*views, one_scale, exact)
+    rect = rectify(R, t, *K, METRIC_WH)
+    one_scale = rectify(R, t, *K, METRIC_WH, K_new=truth.nominal.K_new)
     angles = *angles_deg(batch.R, R)[0].abs().tolist(), geodesic_deg(batch.R, R).item()
     found = {
         **dict(zip(ANGLES, angles, strict=True)),
         "vertical_flow_px": np.nan, "disparity_bias_px": np.nan,
-        "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
     }  # fmt: skip
     if as_it_is:
-        error_now = (torch.cat(views[:2]) - torch.cat(_views(batch, exact)[:2])).abs().mean()
+        error_now = (torch.stack(views[:2], dim=1) - truth.exact_views.images).abs().mean()
         found |= {"mae_paper": 2 * error_now.item(), "mae_valid": np.nan}
-    if batch.truth is not None:
-        some = batch.truth.subset(slice(None, None, BIAS_EVERY))
-        found["disparity_bias_px"] = disparity_bias(one_scale, exact, some).item()
+    else:
+        error = rectified_image_error(rectified_views(*views, one_scale), truth.exact_views)
+        found |= {"mae_paper": error.paper.item(), "mae_valid": error.valid.item()}
+    if batch.truth is not None and truth.some is not None:
+        found["disparity_bias_px"] = disparity_bias(one_scale, truth.exact, truth.some).item()
         found["vertical_flow_px"] = (
-            unrectified_vertical_flow(batch.truth, K_left, K_right, nominal.vertical).item()
+            unrectified_vertical_flow(batch.truth, *K, truth.nominal.vertical).item()
             if as_it_is
             else exact_vertical_flow(rect, batch.truth).item()
         )
     if not looks:
         return found
-    everywhere = torch.ones(METRIC_WH[::-1], dtype=torch.bool)
-    *both, valid = (*views[:2], everywhere) if as_it_is else _views(batch, rect)
-    left, right = map(_image, both)
+    images, valid = torch.stack(views[:2], dim=1), torch.ones(METRIC_WH[::-1], dtype=torch.bool)
+    if not as_it_is:
+        seen = rectified_views(*views, rect)
+        images, valid = seen.images, seen.filled[0].all(0)
+    left, right = map(_image, images.unbind(1))
     for look in looks:
-        found |= look.figures(left, right, valid.numpy(), vertical=bool(nominal.vertical))
+        found |= look.figures(left, right, valid.numpy(), vertical=bool(truth.nominal.vertical))
     return found
 
 
 def _tensor(x: np.ndarray) -> Tensor:
     return torch.from_numpy(np.asarray(x, dtype=np.float64))[None]
-
-
-def _views(batch: Batch, rect: Rectification) -> tuple[Tensor, Tensor, Tensor]:
-    """Both images (1, 3, h, w), rectified, and where (h, w) both are filled."""
-    left, filled_left = warp(
-        batch.left_metric, batch.K_left_metric, rect.R_left, rect.K_new, METRIC_WH
-    )
-    right, filled_right = warp(
-        batch.right_metric, batch.K_right_metric, rect.R_right, rect.K_new, METRIC_WH
-    )
-    return left, right, (filled_left & filled_right)[0, 0]
 
 
 def _image(x: Tensor) -> Image:
