@@ -12,10 +12,12 @@ import method_time
 import numpy as np
 import paper_step
 import pytest
+import scene_contents
 import torch
 import tune_methods
 import tyro
 from scipy.spatial.transform import Rotation
+from small_set import HW, make_frame, write_set
 from tiny_network import TINY, network, road_set
 
 from flowrect.config import TRAINING
@@ -195,3 +197,25 @@ def test_arms_are_compared_with_the_first_one():
     assert rows["b − a [95 %]"] == ["+0.500 [+0.500, +0.500]"]
     assert rows["c − a [95 %]"] == ["-0.250 [-0.250, -0.250]"]
     assert rows["a"][0].startswith(f"{first[..., 0].mean():.3f} (")
+
+
+# --- scene_contents: frames that were filled by hand ----------------------------------------------
+
+
+def test_contents_of_frames_are_counted(tmp_path: Path, capsys) -> None:
+    frames = [make_frame(0), make_frame(1)]
+    for frame in frames:
+        frame["depth"][:] = 50
+        frame["depth"][:, : HW[0] // 2] = 0  # half is sky
+        frame["depth"][:, -1, :24], frame["depth"][:, -1, 24:36] = 200, 400
+        frame["semantic"][:], frame["instance"][:] = 7, 0
+        frame["semantic"][0, 0, :3] = 23, 11, 21  # camera 0 sees 4 labels, the others 1
+        frame["instance"][1, 0, :3] = 8, 9, 9  # camera 1 sees 2 instances, the others none
+    scene_contents.main(scene_contents.Options(write_set(tmp_path / "set", frames)))
+    said = capsys.readouterr().out
+    for recipe in ("rural", "urban"):
+        assert f"| {recipe} | 1 | {(4 + 1 + 1) / 3:.3g} | {2 / 3:.3g} |" in said
+        assert f"| {recipe} | 1 | 0.5 |" in said
+    assert "| partly_cloudy | 2 | 1 |" in said
+    beyond = 36 / (HW[0] * HW[1]), 12 / (HW[0] * HW[1])
+    assert f"{beyond[0]:.1%} beyond 100 m, {beyond[1]:.1%} beyond 300 m, 50% sky" in said
