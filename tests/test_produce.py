@@ -70,27 +70,32 @@ def _in_a_worker(jobs: list[Job], folder: Path) -> None:
         render_frame_file(FrameTask(job, 0, 0, folder / f"{k}.h5"))
 
 
-@pytest.fixture(scope="module")
-def by_a_worker(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frame 0 by day, in fog and in rain at night, the first that a process renders."""
-    folder = tmp_path_factory.mktemp("worker")
-    jobs = [job, *(resolve(options, job.variant) for options in (LORRY_IN_FOG, RAIN_AT_NIGHT))]
+def _rendered_by_a_worker(jobs: list[Job], folder: Path) -> list[Path]:
+    """Frame 0 of each job, the first that a new process renders."""
     child = multiprocessing.get_context("spawn").Process(target=_in_a_worker, args=(jobs, folder))
     child.start()
     child.join()
     assert child.exitcode == 0
-    return folder
+    return [folder / f"{k}.h5" for k in range(len(jobs))]
 
 
-def test_a_worker_renders_the_same_bits_whatever_came_before(job, frames, lorry, by_a_worker):
+def test_a_worker_renders_the_same_bits_whatever_came_before(job, frames, lorry, tmp_path):
     """Here other frames were: frame 1 before the one by day."""
-    by_day, in_fog = frames[0], lorry[1]
-    in_rain = make_frame(resolve(RAIN_AT_NIGHT, job.variant), 0, attempt=0)[0]
+    here = frames[0], lorry[1]
+    assert here[1]["spec"]["samples"]["spp"] == 2 * here[0]["spec"]["samples"]["spp"] == 2
+    there = _rendered_by_a_worker([job, lorry[0]], tmp_path)
+    assert [stored_content(x) for x in there] == [content_sha256(x) for x in here]
+
+
+@pytest.mark.slow
+def test_a_worker_renders_the_same_rain_after_a_day(job, tmp_path):
+    """Here alone."""
+    at_night = resolve(RAIN_AT_NIGHT, job.variant)
+    in_rain = make_frame(at_night, 0, attempt=0)[0]
     assert in_rain["spec"]["rain"]["lens_drops"]
-    for at_night in (in_fog, in_rain):
-        assert at_night["spec"]["samples"]["spp"] == 2 * by_day["spec"]["samples"]["spp"] == 2
-    for k, frame in enumerate((by_day, in_fog, in_rain)):
-        assert stored_content(by_a_worker / f"{k}.h5") == content_sha256(frame)
+    assert in_rain["spec"]["samples"]["spp"] == 2
+    after_a_day = _rendered_by_a_worker([job, at_night], tmp_path)[1]
+    assert stored_content(after_a_day) == content_sha256(in_rain)
 
 
 def test_another_seed_or_index_is_another_frame(job, frames):
