@@ -244,6 +244,9 @@ class FlowOptions(LoopOptions):
     matching: float = 0.0
     """beyond RAFT: weight [px/nat] of the cross-entropy of the features' correlation against exact
     flow, over all features of the right image"""
+    vertical: float = 1.0
+    """beyond RAFT: weight of the vertical error of the flow over the horizontal one, since it is
+    vertical flow that teacher and metric read"""
     rectified: float = 0.5
     """share of the batches that are rectified, by a pose which is wrong by up to ``error_deg``"""
     error_deg: float = 1.0

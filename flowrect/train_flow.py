@@ -140,6 +140,11 @@ def error_sizes(predicted: Tensor, seen: Views) -> Tensor:
     return torch.stack([error.norm(dim=-1), across], dim=-1)[counted]
 
 
+def weighted_l1(error: Tensor, vertical: Tensor, weight: float) -> Tensor:
+    """|du| + |dv| (B, N) [px] of errors (B, N, 2), the one across the epipolar lines weighted."""
+    return error.abs().sum(-1) + (weight - 1) * across_epipolar_lines(error, vertical).abs()
+
+
 def correlation_loss(correlation: Tensor, batch: Batch) -> Tensor:
     """Cross-entropy [nats] of matches by ``Flows.correlation`` alone against exact flow."""
     assert batch.truth is not None, "checked by FlowTask.require"
@@ -172,7 +177,7 @@ class FlowTask:
         network = load_flow(options.init).requires_grad_(True) if options.init else FlowNetwork()
         if not options.updates:
             network.requires_grad_(False).raft.feature_encoder.requires_grad_(True)
-        self.model: FlowNetwork = network.train()
+        self.model: FlowNetwork = network.train().to(memory_format=torch.channels_last)
         self.score = "end_point_px" if options.updates else "matching_nats"
 
     def require(self, batch: Batch) -> None:
@@ -187,8 +192,10 @@ class FlowTask:
         """Mean error of each refinement [px], the later the heavier; and that of its matches."""
         rng = torch.default_generator
         if torch.rand(()) < self.options.rectified:
-            batch = rectified_wrongly(batch, self.options.error_deg, rng=rng).batch
-        batch = cropped(batch, self.options.crop_wh, rng=rng)
+            seen = rectified_wrongly(batch, self.options.error_deg, rng=rng)
+        else:
+            seen = as_they_stand(batch)
+        batch = cropped(seen.batch, self.options.crop_wh, rng=rng)
         updates = self.options.updates
         flows: Flows = network(batch.left_metric, batch.right_metric, updates)
         terms = {}
@@ -196,7 +203,8 @@ class FlowTask:
             total = batch.left_metric.new_zeros((), dtype=torch.float64)
             for k, flow in enumerate(flows.refined):
                 error, counted = flow_errors(flow, batch)
-                mean = error.abs().sum(-1).sum() / counted.sum().clamp(min=1)
+                sizes = weighted_l1(error, seen.vertical, self.options.vertical)
+                mean = sizes.sum() / counted.sum().clamp(min=1)
                 total = total + DECAY ** (updates - 1 - k) * mean
             terms["flow"] = total
         if self.options.matching:

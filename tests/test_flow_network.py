@@ -147,6 +147,14 @@ def test_vertical_errors_lie_across_the_epipolar_lines(vertical, data):
     torch.testing.assert_close(across, error[counted][:, 0 if vertical else 1].abs())
 
 
+@pytest.mark.parametrize(("weight", "expected"), [(1.0, [5.0, 5.0]), (3.0, [9.0, 11.0])])
+def test_the_loss_weighs_the_error_across_the_epipolar_lines(weight, expected):
+    """Of du = -3 and dv = 2: |dv| of a horizontal rig, |du| of a vertical one."""
+    error = torch.tensor([-3.0, 2.0]).repeat(2, 1, 1)
+    sizes = train_flow.weighted_l1(error, torch.tensor([False, True]), weight)
+    assert sizes[:, 0].tolist() == expected
+
+
 def test_a_rig_of_cameras_above_each_other_is_vertical(data):
     batch = batch_of(data, None, num=1)
     below = replace(batch, t=batch.t.new_tensor([[0.0, -0.8, 0.0]]))
