@@ -7,6 +7,7 @@ batches it has *handed out* (workers prepare more than that ahead), which makes 
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -166,6 +167,12 @@ class PairLoader:
 
 
 def _start_worker(_: int) -> None:
-    """One thread a worker: they are many, and share the processor with the training."""
+    """One thread a worker: they are many, and share the processor with the training.
+
+    Signals that stop a training reach its whole process group; workers outlive them, so that the
+    training can save. They end with it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     cv2.setNumThreads(0)
     torch.set_num_threads(1)

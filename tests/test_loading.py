@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -51,6 +54,26 @@ def test_batches_do_not_depend_on_the_number_of_workers(pairs: Pairs[int]) -> No
     here, one, two = (_epochs(loader, 2) for loader in loaders)
     assert len(here) == 6
     assert all(_equal(a, b) and _equal(a, c) for a, b, c in zip(here, one, two, strict=True))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_workers_outlive_a_signal_to_the_process_group(
+    pairs: Pairs[int], number: signal.Signals
+) -> None:
+    """A batch system stops all processes of a training, which has to save first."""
+    loader = PairLoader(pairs, SIZING, None, Loading(batch=1, workers=2))
+    seen = 0
+    for batch in loader:
+        if not seen:
+            workers = multiprocessing.active_children()
+            assert len(workers) == 2
+            for worker in workers:
+                assert worker.pid is not None
+                os.kill(worker.pid, number)
+        seen += len(batch)
+    assert seen == len(pairs)
+    del loader
+    assert not multiprocessing.active_children()
 
 
 @pytest.fixture(scope="module")
