@@ -58,6 +58,8 @@ class Options:
     """a set of simgen to train on"""
     test: Path
     """a set of simgen whose test frames are scored"""
+    limit: int = 0
+    """test pairs at most, evenly chosen; 0: all"""
     out: Path = Path("runs/ablation")
     steps: int = 250
     batch: int = 4
@@ -91,14 +93,19 @@ def commands(options: Options, arm: Arm, seed: int) -> list[list[object]]:
              "--model.decoder", arm.decoder, "--translation", options.translation]  # fmt: skip
     test = ["flowrect.evaluate", "--data", options.test, "--methods", _method(out),
             "--size", "512x256", "--translations", options.translation, "--matched-pairs", 0,
-            "--out", out / f"on-{options.test.name}"]  # fmt: skip
+            "--limit", options.limit, "--out", _scores(options, out)]  # fmt: skip
     return [train, test]
+
+
+def _scores(options: Options, out: Path) -> Path:
+    """The folder of what `evaluate` says of the network in ``out``."""
+    return out / (f"on-{options.test.name}" + (f"-{options.limit}" if options.limit else ""))
 
 
 def scored(options: Options, name: str, seed: int) -> list[dict[str, str]]:
     """Trains one network, unless that was done before; the rows of every test pair."""
     out = folder(options, ARMS[name], seed)
-    scores = out / f"on-{options.test.name}" / "scores.csv"
+    scores = _scores(options, out) / "scores.csv"
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     for command in [] if scores.exists() else commands(options, ARMS[name], seed):
         subprocess.run([sys.executable, "-m", *map(str, command)], env=environment, check=True,

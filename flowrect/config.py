@@ -238,6 +238,9 @@ class FlowOptions(LoopOptions):
     crop_wh: tuple[int, int] = (512, 256)
     """training sees windows of this size, drawn anew each time, of the 512x256 images: multiples
     of 8, at least 128. 256x128 takes a quarter of the time"""
+    magnify: float | None = None
+    """images are magnified by this before RAFT sees them, whose features lie 8 px apart; if not
+    given, as the weights of --init say, else 1"""
     updates: int = 12
     """refinements of the flow, each of which is supervised; 0: only features are trained, by
     ``matching``, at a third of the cost, as a start for --init"""

@@ -21,6 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
+from torch.nn import functional as F
 from torchvision.models.optical_flow import (
     Raft_Large_Weights,
     Raft_Small_Weights,
@@ -55,6 +56,8 @@ class FlowCard:
     """pairs seen in training"""
     data: str = ""
     """what they were trained on"""
+    magnify: float = 1.0
+    """see ``FlowNetwork``"""
 
 
 class Flows(NamedTuple):
@@ -63,15 +66,22 @@ class Flows(NamedTuple):
     refined: list[Tensor]
     """the flow (B, 2, H, W) [px] from left to right after each update"""
     correlation: Tensor
-    """(B, h·w, h·w) of each left feature, row by row, with each right one; h = H / STRIDE, w = W /
-    STRIDE"""
+    """(B, h·w, h·w) of each left feature, row by row, with each right one"""
+    feature_wh: tuple[int, int]
+    """(w, h): ``magnify`` / STRIDE of the images' size"""
 
 
 class FlowNetwork(nn.Module):
-    """RAFT from images in 0…1."""
+    """RAFT from images in 0…1.
 
-    def __init__(self, size: Size = "small") -> None:
+    Args:
+      magnify: images are magnified by this before RAFT sees them. Its features are STRIDE pixels
+        apart, and its errors are a share of that.
+    """
+
+    def __init__(self, size: Size = "small", magnify: float = 1.0) -> None:
         super().__init__()
+        self.magnify = magnify
         self.raft = SIZES[size](weights=None)
 
     def flow(self, left: Tensor, right: Tensor) -> Tensor:
@@ -86,18 +96,38 @@ class FlowNetwork(nn.Module):
                 f"images of {w}x{h} px cannot be matched by RAFT: expected at least {MIN_SIDE} px "
                 f"along each side, and multiples of {STRIDE}."
             )
-        left, right, raft = 2 * left - 1, 2 * right - 1, self.raft
-        refined: list[Tensor] = []
+        feature_wh = round(w * self.magnify / STRIDE), round(h * self.magnify / STRIDE)
+        left, right = (self._seen(x, feature_wh) for x in (left, right))
+        raft, refined = self.raft, []
         if updates:
-            refined = raft(left, right, num_flow_updates=updates)
+            flows = raft(left, right, num_flow_updates=updates)
+            refined = [_flow_at_size(flow, (w, h)) for flow in flows]
         else:
             raft.corr_block.build_pyramid(*raft.feature_encoder(torch.cat([left, right])).chunk(2))
         correlation: Tensor = raft.corr_block.corr_pyramid[0]  # (B·h·w, 1, h, w)
-        return Flows(refined, correlation.reshape(len(left), -1, correlation[0].numel()))
+        correlation = correlation.reshape(len(left), -1, correlation[0].numel())
+        return Flows(refined, correlation, feature_wh)
+
+    @staticmethod
+    def _seen(image: Tensor, feature_wh: tuple[int, int]) -> Tensor:
+        """The image in -1…1, of a size that gives so many features."""
+        hw = feature_wh[1] * STRIDE, feature_wh[0] * STRIDE
+        if image.shape[-2:] != hw:
+            image = F.interpolate(image, hw, mode="bicubic", align_corners=False).clamp(0, 1)
+        return 2 * image - 1
 
     def frozen(self) -> FlowNetwork:
         """The network as a teacher: gradients pass through it, but it does not learn."""
         return self.eval().requires_grad_(False)
+
+
+def _flow_at_size(flow: Tensor, wh: tuple[int, int]) -> Tensor:
+    """Flow (B, 2, H, W) of images of another size, as flow (B, 2, h, w) of images of this one."""
+    h, w = flow.shape[-2:]
+    if (w, h) == wh:
+        return flow
+    smaller = F.interpolate(flow, wh[::-1], mode="bilinear", align_corners=False)
+    return smaller * flow.new_tensor([wh[0] / w, wh[1] / h])[:, None, None]
 
 
 def save_flow(path: Path, network: FlowNetwork, card: FlowCard) -> None:
@@ -108,20 +138,25 @@ def save_flow(path: Path, network: FlowNetwork, card: FlowCard) -> None:
     os.replace(partial, path)
 
 
-def load_flow(name: str) -> FlowNetwork:
+def load_flow(name: str, magnify: float | None = None) -> FlowNetwork:
     """A frozen network, small or large as the weights are.
 
     Args:
       name: a file of ``flowrect.train_flow`` (.safetensors), the name of shipped weights, a file of
         torchvision's (.pth), or "torchvision" (small) or "torchvision-large", which fetch theirs.
         A hash in the name of a .pth is checked, fetched or not.
+      magnify: see FlowNetwork; None: what the weights were trained with, 1 if they do not say.
 
     Raises:
       UserError: there are no such weights, or they are not RAFT's.
     """
-    state = _fetched(name) if name in TORCHVISION else _state_of_file(_find(name))
+    card = FlowCard()
+    if name in TORCHVISION:
+        state = _fetched(name)
+    else:
+        state, card = _read(_find(name))
     size: Size = "large" if any(k.startswith("mask_predictor.") for k in state) else "small"
-    network = FlowNetwork(size)
+    network = FlowNetwork(size, card.magnify if magnify is None else magnify)
     try:
         network.raft.load_state_dict(state)
     except RuntimeError as error:
@@ -158,15 +193,16 @@ def _find(name: str) -> Path:
     )
 
 
-def _state_of_file(path: Path) -> dict[str, Tensor]:
+def _read(path: Path) -> tuple[dict[str, Tensor], FlowCard]:
+    """Tensors, and what is known of them, which is nothing for torchvision's."""
     if path.suffix == ".safetensors":
-        read_card(path)
-        return load_file(path)
+        card = read_card(path)
+        return load_file(path), card
     _require_hash(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         if isinstance(state, dict):
-            return state
+            return state, FlowCard()
         raise RuntimeError(f"it holds one {type(state).__name__}")
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
         raise UserError(

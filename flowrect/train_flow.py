@@ -145,15 +145,15 @@ def weighted_l1(error: Tensor, vertical: Tensor, weight: float) -> Tensor:
     return error.abs().sum(-1) + (weight - 1) * across_epipolar_lines(error, vertical).abs()
 
 
-def correlation_loss(correlation: Tensor, batch: Batch) -> Tensor:
+def correlation_loss(flows: Flows, batch: Batch) -> Tensor:
     """Cross-entropy [nats] of matches by ``Flows.correlation`` alone against exact flow."""
     assert batch.truth is not None, "checked by FlowTask.require"
     h, w = batch.left_metric.shape[-2:]
     uv, flow, counted = exact_flow(batch.truth, batch.K_left_metric, batch.K_right_metric, (w, h))
-    return match_cross_entropy(
-        correlation.float().log_softmax(-1),
-        uv / STRIDE, (uv + flow) / STRIDE, counted, (w // STRIDE, h // STRIDE),
-    )  # fmt: skip
+    log_matches = flows.correlation.float().log_softmax(-1)
+    scale = uv.new_tensor(flows.feature_wh) / uv.new_tensor([w, h])
+    ends = uv * scale, (uv + flow) * scale
+    return match_cross_entropy(log_matches, *ends, counted, flows.feature_wh)
 
 
 class FlowTask:
@@ -172,9 +172,11 @@ class FlowTask:
                 f"--crop-wh {options.crop_wh}: expected multiples of {STRIDE} from {MIN_SIDE} px "
                 f"to {METRIC_WH}."
             )
+        if options.magnify is not None and not 1 <= options.magnify <= 4:
+            raise UserError(f"--magnify {options.magnify:g}: expected 1 to 4.")
         self.options = options
         self.input_wh = METRIC_WH
-        network = load_flow(options.init).requires_grad_(True) if options.init else FlowNetwork()
+        network = _initial(options).requires_grad_(True)
         if not options.updates:
             network.requires_grad_(False).raft.feature_encoder.requires_grad_(True)
         self.model: FlowNetwork = network.train().to(memory_format=torch.channels_last)
@@ -208,7 +210,7 @@ class FlowTask:
                 total = total + DECAY ** (updates - 1 - k) * mean
             terms["flow"] = total
         if self.options.matching:
-            terms["matching"] = self.options.matching * correlation_loss(flows.correlation, batch)
+            terms["matching"] = self.options.matching * correlation_loss(flows, batch)
         return terms
 
     @torch.inference_mode()
@@ -226,7 +228,7 @@ class FlowTask:
             for kind, seen in (("", as_they_stand(batch)), ("rectified_", wrong)):
                 updates = UPDATES if self.options.updates else 0
                 flows = self.model(seen.batch.left_metric, seen.batch.right_metric, updates)
-                nats[kind].append(correlation_loss(flows.correlation, seen.batch))
+                nats[kind].append(correlation_loss(flows, seen.batch))
                 if updates:
                     errors[kind].append(error_sizes(flows.refined[-1], seen))
         self.model.train()
@@ -241,7 +243,14 @@ class FlowTask:
 
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
-        save_flow(path, self.model, FlowCard(seen.samples, str(self.options.data.name)))
+        card = FlowCard(seen.samples, str(self.options.data.name), self.model.magnify)
+        save_flow(path, self.model, card)
+
+
+def _initial(options: FlowOptions) -> FlowNetwork:
+    if options.init:
+        return load_flow(options.init, options.magnify)
+    return FlowNetwork(magnify=options.magnify or 1.0)
 
 
 def train_flow(options: FlowOptions) -> dict[str, float]:

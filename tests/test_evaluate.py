@@ -546,6 +546,18 @@ def test_shipped_weights_of_a_rival_are_part_of_its_stamp(tmp_path, monkeypatch)
     assert stamp.of_method.__wrapped__("rpnet") != before == stamp.of_method("vitpose")
 
 
+def test_weights_of_raft_are_part_of_the_stamp_of_its_matches_alone(tmp_path, monkeypatch):
+    (tmp_path / "raft.safetensors").write_bytes(b"weights")
+    monkeypatch.setattr(stamp, "SHIPPED", tmp_path)
+    for known, others in ((stamp.of_matcher, "dis"), (stamp.of_method, "sift+5dof")):
+        name = others.replace("dis", "raft").replace("sift", "raft")
+        before = known.__wrapped__(name), known.__wrapped__(others)
+        (tmp_path / "raft.safetensors").write_bytes(known.__name__.encode())
+        after = known.__wrapped__(name), known.__wrapped__(others)
+        assert after[0] != before[0]
+        assert after[1] == before[1]
+
+
 def test_the_default_is_the_whole_table():
     methods = EvaluateOptions(Path()).methods
     assert methods == TABLE

@@ -7,19 +7,21 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from test_train import interrupt_after
 from tiny_network import network, road_set, training
+from torch.nn import functional as F
 from torchvision.models.optical_flow import Raft_Large_Weights, Raft_Small_Weights
 
 from flowrect import flow_network, train, train_flow
 from flowrect.augment import Augmentation
 from flowrect.config import FlowOptions, LossWeights
 from flowrect.drectify import rectify
-from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, read_card, save_flow
+from flowrect.flow_network import FlowCard, FlowNetwork, Flows, load_flow, read_card, save_flow
 from flowrect.loading import Loading, PairLoader
 from flowrect.metrics import METRIC_WH, exact_vertical_flow
 from flowrect.resize import Sizing
@@ -251,8 +253,11 @@ def test_correlation_is_taught_where_the_right_end_lies(data):
     """Matches at the true feature, by the stored flow, cost least; if none is known, log(h·w)."""
     batch = batch_of(data, None, num=1)
     h, w = (s // 8 for s in batch.left_metric.shape[-2:])
-    uniform = torch.zeros(1, h * w, h * w)
-    loss = train_flow.correlation_loss(uniform, batch)
+
+    def loss_of(correlation: torch.Tensor) -> torch.Tensor:
+        return train_flow.correlation_loss(Flows([], correlation, (w, h)), batch)
+
+    loss = loss_of(torch.zeros(1, h * w, h * w))
     assert loss.item() == pytest.approx(np.log(h * w), abs=1e-6)
 
     uv, flow, counted = train_flow.exact_flow(
@@ -263,20 +268,18 @@ def test_correlation_is_taught_where_the_right_end_lies(data):
     known = ((u < w) & (v < h) & (u_right < w) & (v_right < h)).nonzero()[:, 0]
     scores = torch.zeros(1, h * w, h * w)
     scores[0, (v * w + u)[known], (v_right * w + u_right)[known]] = 5
-    taught = train_flow.correlation_loss(scores, batch)
-    turned = train_flow.correlation_loss(scores.flip(-1), batch)
-    assert taught < 0.7 * loss
-    assert turned > loss
+    assert loss_of(scores) < 0.7 * loss
+    assert loss_of(scores.flip(-1)) > loss
 
 
 def test_the_matching_term_is_weighted(data, tmp_path):
     task = train_flow.FlowTask(flow_options(data, tmp_path, matching=2.0, rectified=0.0))
     batch = batch_of(data, None, num=1)
     terms = task.terms(task.model, batch)
-    correlation = task.model(batch.left_metric, batch.right_metric, 1).correlation
+    flows = task.model(batch.left_metric, batch.right_metric, 1)
     assert set(terms) == {"flow", "matching"}
     assert terms["matching"].item() == pytest.approx(
-        2 * train_flow.correlation_loss(correlation, batch).item(), rel=0.3
+        2 * train_flow.correlation_loss(flows, batch).item(), rel=0.3
     )  # of another window
 
 
@@ -292,6 +295,40 @@ def test_without_refinements_only_features_learn(data, tmp_path, weights):
 def test_no_flow_to_learn_is_refused(data, tmp_path):
     with pytest.raises(UserError, match="nothing to minimise: --updates and --matching are 0"):
         train_flow.train_flow(flow_options(data, tmp_path, updates=0))
+
+
+@pytest.mark.parametrize("magnify", [1.5, 2.0, 1.3])
+def test_a_magnified_image_is_seen_and_flow_is_of_the_image_itself(weights, magnify):
+    """What magnified images move by, divided by how much they were magnified."""
+    images = torch.rand(2, 1, 3, 128, 160, generator=torch.Generator().manual_seed(0))
+    images = F.avg_pool2d(images.flatten(0, 1), 5, 1, 2).reshape(images.shape)
+    w, h = round(160 * magnify / 8) * 8, round(128 * magnify / 8) * 8
+    large = [cv2.resize(x[0].permute(1, 2, 0).numpy(), (w, h), interpolation=cv2.INTER_CUBIC)
+             for x in images]  # fmt: skip
+    seen = [torch.from_numpy(x.clip(0, 1)).permute(2, 0, 1)[None] for x in large]
+    expected = load_flow(str(weights)).flow(*seen)[0].permute(1, 2, 0).numpy()
+    expected = cv2.resize(expected, (160, 128)) * [160 / w, 128 / h]
+    flows = load_flow(str(weights), magnify)(*images)
+    assert flows.feature_wh == (w // 8, h // 8)
+    assert flows.correlation.shape == (1, w * h // 64, w * h // 64)
+    found = flows.refined[-1][0].permute(1, 2, 0).numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.usefixtures("two_updates")
+def test_weights_know_how_much_they_magnify(data, tmp_path, weights):
+    options = flow_options(data, tmp_path / "a", magnify=1.5, init=str(weights), matching=1.0)
+    train_flow.train_flow(options)
+    path = tmp_path / "a" / "last.safetensors"
+    assert read_card(path).magnify == load_flow(str(path)).magnify == 1.5
+    assert load_flow(str(weights)).magnify == 1
+    on = train_flow.FlowTask(flow_options(data, tmp_path / "b", init=str(path)))
+    assert on.model.magnify == 1.5
+
+
+def test_reduced_images_are_refused(data, tmp_path):
+    with pytest.raises(UserError, match="--magnify 0.5: expected 1 to 4"):
+        train_flow.FlowTask(flow_options(data, tmp_path, magnify=0.5))
 
 
 def test_weights_come_back(weights):

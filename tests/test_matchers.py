@@ -19,7 +19,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from flowrect import matchers
-from flowrect.flow_network import FlowCard, FlowNetwork, save_flow
+from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, save_flow
 from flowrect.matchers import _images, _weights, efficientloftr, load_matcher, raft, sift
 from flowrect.matches import Matches
 from flowrect.methods import METHODS
@@ -30,7 +30,7 @@ WH = (245, 181)  # no multiple of anything
 OFFLINE = {"aliked": 1.0, "disk": 1.0, "xfeat": 1.5}
 """largest median error [px]; XFeat's key points are whole pixels of a resized image"""
 ELSEWHERE = ("superglue", "efficientloftr", "loftr", "raft")
-"""matchers whose weights are not shipped"""
+"""matchers that take weights which a user brings"""
 HOMOGRAPHY = np.array([[1.2, 0.08, -30], [-0.06, 1.15, -8], [1e-4, 0, 1]])
 
 
@@ -326,12 +326,30 @@ def test_flow_of_a_shrunk_image_is_in_pixels_of_the_image(scale, monkeypatch):
         ),
         ("efficientloftr", "zju-community/efficientloftr.*Apache-2.0.*config.json"),
         ("loftr", r"kornia/loftr.*Apache-2.0.*one .ckpt"),
-        ("raft", r"python -m flowrect.train_flow --data"),
     ],
 )
 def test_absent_weights_are_said_with_their_licence_and_another_way(name, words, models):
     with pytest.raises(UserError, match=words):
         load_matcher(name)
+
+
+def test_raft_takes_what_is_brought_then_what_is_in_the_cache_then_the_shipped_weights(models):
+    def weights() -> dict[str, Tensor]:
+        raft.load.cache_clear()
+        return raft.load().keywords["net"].raft.state_dict()
+
+    def assert_like(expected: dict[str, Tensor]) -> None:
+        torch.testing.assert_close(weights(), expected, rtol=0, atol=0)
+
+    assert_like(load_flow("raft").raft.state_dict())
+    cached = FlowNetwork().raft.state_dict()
+    path = models / "hub" / "hub" / "checkpoints" / "raft_small_C_T_V2-01064c6d.pth"
+    path.parent.mkdir(parents=True)
+    torch.save(cached, path)
+    with pytest.raises(UserError, match="sha256"):
+        weights()
+    save_raft(models / "raft")
+    assert_like(load_flow(str(models / "raft" / "last.safetensors")).raft.state_dict())
 
 
 def test_weights_that_lack_a_tensor_are_refused(models):

@@ -85,7 +85,7 @@ class Offsets:
         self, left: Image, right: Image, valid: NDArray[np.bool_], *, vertical: bool
     ) -> Mapping[str, float]:
         """As Look; the black of what is not filled has no matches."""
-        key = digest(stamp.of_matchers().encode(), bytes([vertical]), left, right)
+        key = digest(stamp.of_matcher(self.name).encode(), bytes([vertical]), left, right)
         return self.memory.of(key, lambda: self._measured(left, right, vertical))
 
     def _measured(self, left: Image, right: Image, vertical: bool) -> dict[str, float]:

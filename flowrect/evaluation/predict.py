@@ -266,25 +266,25 @@ _ARRAYS = ("uv_left", "uv_right", "score", "weight")
 
 def _matches(path: Path, matcher: str, pair: Pair) -> tuple[Matches, float]:
     """The matches of a pair and the seconds that they took, from their file if there is one."""
-    if (kept := _kept(path)) is not None:
+    made_by = stamp.of_matcher(matcher)
+    if (kept := _kept(path, made_by)) is not None:
         return kept
     seconds = Seconds()
     with seconds.of("matching"):
         found = load_matcher(matcher)(pair.left, pair.right)
     memory = io.BytesIO()
     arrays = {name: getattr(found, name) for name in _ARRAYS}
-    made_by = np.array(stamp.of_matchers())
-    np.savez(memory, seconds=np.array(seconds["matching"]), stamp=made_by, **arrays)
+    np.savez(memory, seconds=np.array(seconds["matching"]), stamp=np.array(made_by), **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, memory.getvalue())
     return found, seconds["matching"]
 
 
-def _kept(path: Path) -> tuple[Matches, float] | None:
-    """What a file holds, if the present matchers wrote it."""
+def _kept(path: Path, made_by: str) -> tuple[Matches, float] | None:
+    """What a file holds, if what made it has this stamp."""
     try:
         with np.load(io.BytesIO(path.read_bytes())) as file:
-            if str(file["stamp"]) != stamp.of_matchers():
+            if str(file["stamp"]) != made_by:
                 return None
             return Matches(*(file[name] for name in _ARRAYS)), float(file["seconds"])
     except (OSError, KeyError, ValueError, zipfile.BadZipFile):

@@ -1,8 +1,8 @@
 """What made a prediction: a digest of the code and the weights behind it.
 
 A file whose stamp is another one was made by other settings, another version or other weights, and
-is not taken for the present method's. Weights that a matcher finds through ``FLOWRECT_MODELS`` are
-not part of it: use another output folder for others.
+is not taken for the present method's. Weights that a matcher finds through ``FLOWRECT_MODELS``, or
+in the cache of a hub, are not part of it: use another output folder for others.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _METHODS = (*_MATCHING, "solvers", "rivals", "methods.py", "estimate.py", "model
 
 
 @cache
-def of_matchers() -> str:
-    """Of everything that decides which matches are found."""
-    return _digest(_sources(_MATCHING))
+def of_matcher(name: str) -> str:
+    """Of everything that decides which matches a matcher finds."""
+    return _digest([*_sources(_MATCHING), *weights_of(name)])
 
 
 @cache
@@ -37,11 +37,12 @@ def of_method(name: str) -> str:
 
 
 def weights_of(name: str) -> list[Path]:
-    """The file of a network that was trained for the task; none where none is shipped."""
+    """The file of a network trained here, of a method or its matcher; none where none is shipped."""
     if name.startswith("network"):
         return [find_weights(network_of(name)[0])]
-    path = SHIPPED / f"{name}.safetensors"
-    return [path] if name in RIVALS and path.is_file() else []
+    network = name.partition("+")[0]
+    path = SHIPPED / f"{network}.safetensors"
+    return [path] if network in (*RIVALS, "raft") and path.is_file() else []
 
 
 def _sources(names: Iterable[str]) -> list[Path]:

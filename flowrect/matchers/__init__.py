@@ -8,7 +8,7 @@ sift, sift-paper, dis     nothing is learned            OpenCV
 aliked, disk, xfeat       key points and LightGlue      weights in installed packages
 superglue                 key points and SuperGlue      weights to be copied, non-commercial
 loftr, efficientloftr     semi-dense                    weights to be copied
-raft                      dense flow, checked           flowrect.train_flow, or torchvision's
+raft                      dense flow, checked           shipped, or to be copied
 ========================  ============================  ==================================
 
 Weights to be copied lie in one folder each, below the one that the environment variable

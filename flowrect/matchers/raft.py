@@ -1,7 +1,8 @@
-"""Dense optical flow by RAFT (Teed and Deng, ECCV 2020), with weights of this project.
+"""Dense optical flow by RAFT (Teed and Deng, ECCV 2020).
 
 A point counts as matched if the flow back from where it went returns to it. The weights are those
-of ``flowrect.train_flow``, or torchvision's, of RAFT small or large (BSD-3-Clause).
+that the user brought, of ``flowrect.train_flow`` or torchvision's (BSD-3-Clause), else those in the
+cache of torch.hub, else the shipped ones.
 """
 
 from __future__ import annotations
@@ -23,9 +24,8 @@ from flowrect.matchers._weights import Published, cached_file
 from flowrect.matchers.dis import TUNED, consistent, worth
 from flowrect.matches import Matcher, Matches
 from flowrect.sample import Image
-from simgen.errors import UserError
 
-WEIGHTS = Published(
+BROUGHT = Published(
     matcher="raft",
     place="https://download.pytorch.org/models/raft_small_C_T_V2-01064c6d.pth",
     licence="BSD-3-Clause",
@@ -42,12 +42,9 @@ WORTH = TUNED.worth
 
 @cache
 def load() -> Matcher:
-    """The matcher; UserError if there are no weights."""
-    path = WEIGHTS.file(".safetensors", ".pth") or cached_file("raft_small_C_T_V2-01064c6d.pth")
-    if path is None:
-        absent = WEIGHTS.absent("there is no such folder, and nothing in the cache of torch.hub")
-        raise UserError(f"{absent} Or train some: python -m flowrect.train_flow --data shards/.")
-    return partial(_match, net=load_flow(str(path)))
+    """The matcher; UserError if what was brought is not one file of such weights."""
+    path = BROUGHT.file(".safetensors", ".pth") or cached_file("raft_small_C_T_V2-01064c6d.pth")
+    return partial(_match, net=load_flow(str(path or "raft")))
 
 
 @torch.inference_mode()
