@@ -200,11 +200,13 @@ class TrainOptions(PoseOptions):
 
     model: ModelConfig = PAPER
     loss: LossWeights = field(default_factory=LossWeights)
-    teacher: Literal["exact", "raft", "none"] = "exact"
-    """where vertical flow comes from: depth and poses; a frozen flow network, which needs no depth
-    (the paper's own way); or nowhere (the paper's "w/o OF")"""
+    teacher: Literal["exact", "raft", "raft-matches", "none"] = "exact"
+    """where vertical flow comes from. exact: depth and poses. raft: a frozen flow network, which
+    needs no depth (the paper's own way). raft-matches: the same, but its gradient is that of
+    the geometry, with what was matched held fixed, not that of the network; takes half of the time.
+    none: nowhere (the paper's "w/o OF")"""
     flow_weights: str = "raft"
-    """of the teacher raft: a name or file of flowrect.train_flow, a file of torchvision's, or
+    """of the teachers raft: a name or file of flowrect.train_flow, a file of torchvision's, or
     "torchvision" or "torchvision-large" to let it fetch its own"""
     teacher_device: str = ""
     """where the teacher runs, such as cuda:1; beside the network if not given"""

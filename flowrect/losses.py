@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flowrect.correspondences import Correspondences
 from flowrect.drectify import Rectification, rectified_uv
-from flowrect.geometry import inside, project
+from flowrect.geometry import inside, pixel_grid, project, unproject
 
 
 def rotation_loss(R_gt: Tensor, R: Tensor, *, weight: float = 10.0) -> Tensor:
@@ -80,6 +80,27 @@ def image_flow_loss(
     """
     across = across_epipolar_lines(flow.permute(0, 2, 3, 1), vertical)
     return weight * _masked_mean(across.abs(), valid[:, 0])
+
+
+@torch.no_grad()
+def correspondences_of_flow(flow: Tensor, rect: Rectification) -> Correspondences:
+    """What a flow network matches between rectified images, at every left pixel, as rays.
+
+    As such it stays the same if the rectification changes, so that ``vertical_flow_loss`` of it is
+    what ``image_flow_loss`` says of the flow, but for ends outside of the images, and differs in
+    its gradient: that of the geometry alone.
+
+    Args:
+      flow: (B, 2, H, W) left to right [px] between images that ``rect`` made.
+    """
+    h, w = flow.shape[-2:]
+    uv = pixel_grid((w, h), dtype=rect.K_new.dtype, device=flow.device)
+    ends = uv + flow.flatten(2).mT
+    rays_left = unproject(rect.K_new, uv.expand_as(ends)) @ rect.R_left
+    rays_right = unproject(rect.K_new, ends) @ rect.R_right
+    seen = torch.ones_like(ends[..., 0], dtype=torch.bool)
+    unknown = torch.full_like(ends[..., 0], torch.nan)
+    return Correspondences(rays_left, rays_right, seen, seen, unknown)
 
 
 def matching_loss(

@@ -29,7 +29,13 @@ from flowrect.config import (
 )
 from flowrect.drectify import rectify, warp
 from flowrect.loading import PairLoader
-from flowrect.losses import image_flow_loss, matching_loss, rotation_loss, vertical_flow_loss
+from flowrect.losses import (
+    correspondences_of_flow,
+    image_flow_loss,
+    matching_loss,
+    rotation_loss,
+    vertical_flow_loss,
+)
 from flowrect.metrics import METRIC_WH, angles_deg, exact_vertical_flow, geodesic_deg
 from flowrect.model import Prediction
 from flowrect.rivals.config import RIVALS
@@ -73,29 +79,34 @@ def loss_terms(
         assert batch.R is not None, "checked by RectifierTask.require"
         terms["rotation"] = rotation_loss(batch.R, prediction.R, weight=weights.rotation)
     if options.teacher != "none":
-        t = prior_translation(batch, options)
-        K_left, K_right = batch.K_left_metric, batch.K_right_metric
-        rect = rectify(prediction.R, t, K_left, K_right, METRIC_WH)
-        if teacher is not None:
-            left, valid_left = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
-            right, valid_right = warp(
-                batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH
-            )
-            terms["flow"] = image_flow_loss(
-                _flow_of(teacher, left, right),
-                valid_left & valid_right,
-                rect.vertical,
-                weight=weights.flow,
-            )
-        elif truth is not None:
-            terms["flow"] = vertical_flow_loss(
-                rect, truth, K_left, K_right, METRIC_WH, weight=weights.flow
-            )
+        terms["flow"] = flow_term(prediction, batch, options, teacher)
     if weights.matching and truth is not None:
         terms["matching"] = weights.matching * matching_loss(
             prediction.log_matches, truth, prediction.rectification, prediction.feature_wh
         )
     return terms
+
+
+def flow_term(
+    prediction: Prediction, batch: Batch, options: TrainOptions, teacher: FlowNetwork | None
+) -> Tensor:
+    """The vertical flow that the teacher sees in pairs as the prediction rectifies them."""
+    weight = options.loss.flow
+    K_left, K_right = batch.K_left_metric, batch.K_right_metric
+    t = prior_translation(batch, options)
+    rect = rectify(prediction.R, t, K_left, K_right, METRIC_WH)
+    if teacher is None:
+        assert batch.truth is not None, "checked by RectifierTask.require"
+        return vertical_flow_loss(rect, batch.truth, K_left, K_right, METRIC_WH, weight=weight)
+    through = options.teacher == "raft"
+    with torch.set_grad_enabled(through and torch.is_grad_enabled()):
+        left, valid_left = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
+        right, valid_right = warp(batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH)
+        flow = _flow_of(teacher, left, right)
+    if through:
+        return image_flow_loss(flow, valid_left & valid_right, rect.vertical, weight=weight)
+    matches = correspondences_of_flow(flow, rect)
+    return vertical_flow_loss(rect, matches, K_left, K_right, METRIC_WH, weight=weight)
 
 
 def _raft(weights: str) -> FlowNetwork:
@@ -149,7 +160,7 @@ class RectifierTask:
         if options.overfit:  # it asks what training reaches, which knows the first pass only
             self.model.passes = 1
         self.input_wh = options.model.input_wh
-        self._teacher = _raft(options.flow_weights) if options.teacher == "raft" else None
+        self._teacher = _raft(options.flow_weights) if "raft" in options.teacher else None
 
     def require(self, batch: Batch) -> None:
         """Raises where the data lack what the losses need."""
@@ -158,7 +169,7 @@ class RectifierTask:
         if batch.truth is None and (options.teacher == "exact" or options.loss.matching):
             raise UserError(
                 f"{options.data}: {batch.names[0]} has no depth, so there is no exact flow; train "
-                "with --teacher raft or none, and --loss.matching 0."
+                "with --teacher raft, raft-matches or none, and --loss.matching 0."
             )
 
     def terms(self, network: torch.nn.Module, batch: Batch) -> dict[str, Tensor]:

@@ -20,8 +20,10 @@ from torchvision.models.optical_flow import Raft_Large_Weights, Raft_Small_Weigh
 from flowrect import flow_network, train, train_flow
 from flowrect.augment import Augmentation
 from flowrect.config import FlowOptions, LossWeights
+from flowrect.correspondences import Correspondences
 from flowrect.drectify import rectify
 from flowrect.flow_network import FlowCard, FlowNetwork, Flows, load_flow, read_card, save_flow
+from flowrect.geometry import pixel_grid, unproject
 from flowrect.loading import Loading, PairLoader
 from flowrect.metrics import METRIC_WH, exact_vertical_flow
 from flowrect.resize import Sizing
@@ -327,7 +329,7 @@ def test_weights_know_how_much_they_magnify(data, tmp_path, weights):
 
 
 def test_reduced_images_are_refused(data, tmp_path):
-    with pytest.raises(UserError, match="--magnify 0.5: expected 1 to 4"):
+    with pytest.raises(UserError, match=r"--magnify 0\.5: expected 1 to 4"):
         train_flow.FlowTask(flow_options(data, tmp_path, magnify=0.5))
 
 
@@ -418,6 +420,57 @@ def test_gradients_reach_the_pose_through_teacher_and_warp(data, weights, two_up
     terms["flow"].backward()
     assert prediction.R.grad.abs().max() > 0
     assert all(p.grad is None for p in teacher.parameters())
+
+
+class Exact:
+    """A teacher that sees the exact flow of points at infinity between rectified images."""
+
+    def __init__(self, batch: Batch, R: torch.Tensor) -> None:
+        rect = rectify(R.detach(), batch.t, batch.K_left_metric, batch.K_right_metric, METRIC_WH)
+        turn = rect.R_right @ batch.R @ rect.R_left.mT
+        self._homography = rect.K_new @ turn @ torch.linalg.inv(rect.K_new)
+
+    def parameters(self):
+        yield torch.zeros(1)
+
+    def flow(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        u, v = torch.meshgrid(*map(torch.arange, METRIC_WH), indexing="xy")
+        uv1 = torch.stack([u, v, torch.ones_like(u)]).double()
+        ends = torch.einsum("bij,jhw->bihw", self._homography, uv1)
+        return (ends[:, :2] / ends[:, 2:] - uv1[:2]).float()
+
+
+def test_matches_of_a_teacher_teach_as_exact_flow_does(data, worst):
+    """Value and gradient are those of exact flow between the same points, here at infinity."""
+    batch = batch_of(data, None, num=1)
+    options = training(data, Path(), teacher="raft-matches", loss=LossWeights(rotation=0, flow=1.0))
+    prediction = train.predict(network(options.model), batch, options)
+
+    def value_and_gradient(teacher: str, seen: Batch) -> tuple[float, torch.Tensor]:
+        R = prediction.R.detach().requires_grad_()
+        predicted = replace(prediction, R=R)
+        taught = replace(options, teacher=teacher)
+        loss = train.loss_terms(
+            predicted, seen, taught, Exact(batch, R) if teacher != "exact" else None
+        )
+        [gradient] = torch.autograd.grad(loss["flow"], R)
+        return loss["flow"].item(), gradient
+
+    w, h = METRIC_WH
+    rect = rectify(
+        prediction.R.detach(), batch.t, batch.K_left_metric, batch.K_right_metric, METRIC_WH
+    )
+    rays = (
+        unproject(rect.K_new, pixel_grid(METRIC_WH, dtype=torch.float64, device="cpu"))
+        @ rect.R_left
+    )
+    yes = torch.ones(1, w * h, dtype=torch.bool)
+    distant = Correspondences(rays, rays @ batch.R.mT, yes, yes, torch.zeros(1, w * h))
+    found, gradient = value_and_gradient("raft-matches", batch)
+    expected, exact = value_and_gradient("exact", Batch(**{**vars(batch), "truth": distant}))
+    assert expected > 0.5
+    worst("vertical flow of matches", abs(found - expected), 1e-4, "px")
+    worst("its gradient", (gradient - exact).abs().max() / exact.abs().max(), 1e-3)
 
 
 def test_nothing_to_minimise_is_refused(data, tmp_path):

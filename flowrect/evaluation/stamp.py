@@ -37,7 +37,7 @@ def of_method(name: str) -> str:
 
 
 def weights_of(name: str) -> list[Path]:
-    """The file of a network trained here, of a method or its matcher; none where none is shipped."""
+    """The file of the network of a method or matcher that was trained here, if it is shipped."""
     if name.startswith("network"):
         return [find_weights(network_of(name)[0])]
     network = name.partition("+")[0]
