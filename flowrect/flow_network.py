@@ -28,6 +28,7 @@ from torchvision.models.optical_flow import (
     raft_large,
     raft_small,
 )
+from torchvision.models.optical_flow.raft import CorrBlock
 
 from flowrect.weights import SHIPPED
 from simgen.errors import UserError
@@ -39,7 +40,8 @@ STRIDE = 8
 """pixels a feature, along each side"""
 UPDATES = 12
 Size = Literal["small", "large"]
-SIZES = {"small": raft_small, "large": raft_large}
+SIZES = {"small": (raft_small, 3), "large": (raft_large, 4)}
+"""torchvision's builder, and the features around a match that are looked up, on each side"""
 TORCHVISION = {
     "torchvision": Raft_Small_Weights.C_T_V2,
     "torchvision-large": Raft_Large_Weights.C_T_SKHT_K_V1,
@@ -71,6 +73,17 @@ class Flows(NamedTuple):
     """(w, h): ``magnify`` / STRIDE of the images' size"""
 
 
+class _Correlation(CorrBlock):
+    """All correlations, in float32 whatever the precision of the network.
+
+    Half as precise they would be converted, all of them, each time that some are looked up.
+    """
+
+    def build_pyramid(self, fmap1: Tensor, fmap2: Tensor) -> None:
+        with torch.autocast(fmap1.device.type, enabled=False):
+            super().build_pyramid(fmap1.float(), fmap2.float())
+
+
 class FlowNetwork(nn.Module):
     """RAFT from images in 0…1.
 
@@ -82,7 +95,8 @@ class FlowNetwork(nn.Module):
     def __init__(self, size: Size = "small", magnify: float = 1.0) -> None:
         super().__init__()
         self.magnify = magnify
-        self.raft = SIZES[size](weights=None)
+        build, radius = SIZES[size]
+        self.raft = build(weights=None, corr_block=_Correlation(radius=radius))
 
     def flow(self, left: Tensor, right: Tensor) -> Tensor:
         """Flow (B, 2, H, W) [px] from left to right images (B, 3, H, W)."""
