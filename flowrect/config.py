@@ -126,7 +126,7 @@ class LoopOptions:
     """folder that the paths of a CSV list are relative to; the list's own if not given"""
     trusted: bool = False
     """the calibration of a plain folder (left/, right/, calib.yaml) is the truth, as that of a
-    rectified set is. Without depth, train with --teacher none or raft and --loss.matching 0"""
+    rectified set is. Without depth, train with --loss.matching 0 and another teacher than exact"""
     both_directions: bool = False
     """of a rendered set: each pair from left to right, and from right to left, too. Validation is
     from left to right"""
@@ -171,8 +171,8 @@ class LoopOptions:
     val_every: int = 500
     """steps between validations; each one also writes a checkpoint"""
     overfit: int = 0
-    """self-check: train on this many pairs as they stand, and validate on the same. It has a
-    schedule of its own, 250 steps; give --max-steps, --lr, … for another"""
+    """self-check: train on this many pairs as they stand, and validate on the same. flowrect.train
+    has a schedule of its own for it, 250 steps; give --max-steps, --lr, … for another"""
 
 
 @dataclass(frozen=True)

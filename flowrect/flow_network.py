@@ -164,18 +164,20 @@ def load_flow(name: str, magnify: float | None = None) -> FlowNetwork:
     Raises:
       UserError: there are no such weights, or they are not RAFT's.
     """
-    card = FlowCard()
-    if name in TORCHVISION:
-        state = _fetched(name)
-    else:
-        state, card = _read(_find(name))
+    state = _fetched(name) if name in TORCHVISION else _state_of_file(_find(name))
     size: Size = "large" if any(k.startswith("mask_predictor.") for k in state) else "small"
-    network = FlowNetwork(size, card.magnify if magnify is None else magnify)
+    network = FlowNetwork(size, card_of(name).magnify if magnify is None else magnify)
     try:
         network.raft.load_state_dict(state)
     except RuntimeError as error:
         raise UserError(f"{name} does not hold weights of raft_{size}: {error}") from error
     return network.frozen()
+
+
+def card_of(name: str) -> FlowCard:
+    """What is known of weights that ``load_flow`` takes: nothing of torchvision's."""
+    path = None if name in TORCHVISION else _find(name)
+    return read_card(path) if path and path.suffix == ".safetensors" else FlowCard()
 
 
 def read_card(path: Path) -> FlowCard:
@@ -207,16 +209,15 @@ def _find(name: str) -> Path:
     )
 
 
-def _read(path: Path) -> tuple[dict[str, Tensor], FlowCard]:
-    """Tensors, and what is known of them, which is nothing for torchvision's."""
+def _state_of_file(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".safetensors":
-        card = read_card(path)
-        return load_file(path), card
+        read_card(path)
+        return load_file(path)
     _require_hash(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         if isinstance(state, dict):
-            return state, FlowCard()
+            return state
         raise RuntimeError(f"it holds one {type(state).__name__}")
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
         raise UserError(

@@ -86,9 +86,10 @@ def image_flow_loss(
 def correspondences_of_flow(flow: Tensor, rect: Rectification) -> Correspondences:
     """What a flow network matches between rectified images, at every left pixel, as rays.
 
-    As such it stays the same if the rectification changes, so that ``vertical_flow_loss`` of it is
-    what ``image_flow_loss`` says of the flow, but for ends outside of the images, and differs in
-    its gradient: that of the geometry alone.
+    As such it stays the same if the rectification changes, so that the gradient of its
+    ``vertical_flow_loss`` is that of the geometry alone. The value is the one of
+    ``image_flow_loss``, but for what counts: matches whose ends both images show, instead of
+    pixels that both fill.
 
     Args:
       flow: (B, 2, H, W) left to right [px] between images that ``rect`` made.

@@ -78,13 +78,18 @@ def loss_terms(
     if weights.rotation:
         assert batch.R is not None, "checked by RectifierTask.require"
         terms["rotation"] = rotation_loss(batch.R, prediction.R, weight=weights.rotation)
-    if options.teacher != "none":
+    if teaches(options):
         terms["flow"] = flow_term(prediction, batch, options, teacher)
     if weights.matching and truth is not None:
         terms["matching"] = weights.matching * matching_loss(
             prediction.log_matches, truth, prediction.rectification, prediction.feature_wh
         )
     return terms
+
+
+def teaches(options: TrainOptions) -> bool:
+    """Whether vertical flow is minimised."""
+    return options.teacher != "none" and options.loss.flow > 0
 
 
 def flow_term(
@@ -150,23 +155,25 @@ class RectifierTask:
     score = "geodesic_deg"
 
     def __init__(self, options: TrainOptions) -> None:
-        if not any((options.loss.rotation, options.loss.matching, options.teacher != "none")):
+        if not any((options.loss.rotation, options.loss.matching, teaches(options))):
             raise UserError(
-                "nothing to minimise: --loss.rotation and --loss.matching are 0, and --teacher is "
-                "none. Take one of them."
+                "nothing to minimise: --loss.rotation and --loss.matching are 0, and --loss.flow "
+                "is, or --teacher is none. Take one of them."
             )
         self.options = options
         self.model, self._before = initial_model(options)
         if options.overfit:  # it asks what training reaches, which knows the first pass only
             self.model.passes = 1
         self.input_wh = options.model.input_wh
-        self._teacher = _raft(options.flow_weights) if "raft" in options.teacher else None
+        by_raft = "raft" in options.teacher and teaches(options)
+        self._teacher = _raft(options.flow_weights) if by_raft else None
 
     def require(self, batch: Batch) -> None:
         """Raises where the data lack what the losses need."""
         options = self.options
         require_pose(batch, options)
-        if batch.truth is None and (options.teacher == "exact" or options.loss.matching):
+        exact = options.teacher == "exact" and teaches(options)
+        if batch.truth is None and (exact or options.loss.matching):
             raise UserError(
                 f"{options.data}: {batch.names[0]} has no depth, so there is no exact flow; train "
                 "with --teacher raft, raft-matches or none, and --loss.matching 0."

@@ -58,9 +58,9 @@ class DepthTask:
         self.options = options
         self.input_wh = METRIC_WH
         if options.init:
-            network, _ = load_hitnet(Path(options.init))
+            network, self._before = load_hitnet(Path(options.init))
         else:
-            network = Hitnet(options.model)
+            network, self._before = Hitnet(options.model), DepthCard()
         self.model: Hitnet = network.requires_grad_(True).train()
 
     def require(self, batch: Batch) -> None:
@@ -101,7 +101,8 @@ class DepthTask:
 
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
-        save_hitnet(path, self.model, DepthCard(seen.samples, str(self.options.data.name)))
+        samples = self._before.samples + seen.samples
+        save_hitnet(path, self.model, DepthCard(samples, str(self.options.data.name)))
 
 
 def train_depth(options: DepthOptions) -> dict[str, float]:

@@ -29,6 +29,7 @@ from flowrect.flow_network import (
     FlowCard,
     FlowNetwork,
     Flows,
+    card_of,
     load_flow,
     save_flow,
 )
@@ -151,9 +152,9 @@ def correlation_loss(flows: Flows, batch: Batch) -> Tensor:
     h, w = batch.left_metric.shape[-2:]
     uv, flow, counted = exact_flow(batch.truth, batch.K_left_metric, batch.K_right_metric, (w, h))
     log_matches = flows.correlation.float().log_softmax(-1)
-    scale = uv.new_tensor(flows.feature_wh) / uv.new_tensor([w, h])
-    ends = uv * scale, (uv + flow) * scale
-    return match_cross_entropy(log_matches, *ends, counted, flows.feature_wh)
+    seen_px = uv.new_tensor(flows.feature_wh) * STRIDE / uv.new_tensor([w, h])
+    left, right = (((end + 0.5) * seen_px - 0.5) / STRIDE for end in (uv, uv + flow))
+    return match_cross_entropy(log_matches, left, right, counted, flows.feature_wh)
 
 
 class FlowTask:
@@ -172,15 +173,18 @@ class FlowTask:
                 f"--crop-wh {options.crop_wh}: expected multiples of {STRIDE} from {MIN_SIDE} px "
                 f"to {METRIC_WH}."
             )
-        if options.magnify is not None and not 1 <= options.magnify <= 4:
-            raise UserError(f"--magnify {options.magnify:g}: expected 1 to 4.")
+        magnify = 1.0 if options.magnify is None else options.magnify
+        if not 1 <= magnify <= 4:
+            raise UserError(f"--magnify {magnify:g}: expected 1 to 4.")
         self.options = options
         self.input_wh = METRIC_WH
-        network = _initial(options).requires_grad_(True)
+        self._before = card_of(options.init) if options.init else FlowCard()
+        network = load_flow(options.init, magnify) if options.init else FlowNetwork(magnify=magnify)
+        network.requires_grad_(True)
         if not options.updates:
             network.requires_grad_(False).raft.feature_encoder.requires_grad_(True)
         self.model: FlowNetwork = network.train().to(memory_format=torch.channels_last)
-        self.score = "end_point_px" if options.updates else "matching_nats"
+        self.score = "rectified_vertical_median_px" if options.updates else "matching_nats"
 
     def require(self, batch: Batch) -> None:
         """Raises where there is no exact flow."""
@@ -243,18 +247,21 @@ class FlowTask:
 
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
-        card = FlowCard(seen.samples, str(self.options.data.name), self.model.magnify)
+        samples = self._before.samples + seen.samples
+        card = FlowCard(samples, str(self.options.data.name), self.model.magnify)
         save_flow(path, self.model, card)
 
 
-def _initial(options: FlowOptions) -> FlowNetwork:
-    if options.init:
-        return load_flow(options.init, options.magnify)
-    return FlowNetwork(magnify=options.magnify or 1.0)
+def as_initial(options: FlowOptions) -> FlowOptions:
+    """The options with the magnification of the weights of ``--init``, unless another is given."""
+    if options.magnify is not None:
+        return options
+    return replace(options, magnify=card_of(options.init).magnify if options.init else 1.0)
 
 
 def train_flow(options: FlowOptions) -> dict[str, float]:
     """Trains until the epochs, steps or minutes are over; returns the last validation."""
+    options = as_initial(options)
     return loop.train(lambda: FlowTask(options), options)
 
 

@@ -193,7 +193,7 @@ def test_flow_of_a_network_is_taken_across_epipolar_lines_of_all_and_of_filled_p
     assert looks.figures(left, left, valid, vertical=True) == {FLOW: 7.0, FLOW_VALID: 7.0}
     assert np.isnan(looks.figures(left, left, ~valid & valid, vertical=False)[FLOW_VALID])
     assert len(calls) == 3
-    replace(looks, weights="others").figures(left, left, valid, vertical=False)
+    replace(looks, stamp="others").figures(left, left, valid, vertical=False)
     assert len(calls) == 4
 
 

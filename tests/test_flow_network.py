@@ -324,8 +324,11 @@ def test_weights_know_how_much_they_magnify(data, tmp_path, weights):
     path = tmp_path / "a" / "last.safetensors"
     assert read_card(path).magnify == load_flow(str(path)).magnify == 1.5
     assert load_flow(str(weights)).magnify == 1
-    on = train_flow.FlowTask(flow_options(data, tmp_path / "b", init=str(path)))
-    assert on.model.magnify == 1.5
+    on = train_flow.as_initial(flow_options(data, tmp_path / "a", init=str(path)))
+    assert train_flow.FlowTask(on).model.magnify == on.magnify == 1.5
+    assert read_card(path).samples > read_card(weights).samples
+    with pytest.raises(UserError, match=r"magnify was 1\.5, now 1\.0"):  # as it would go on
+        train_flow.train_flow(replace(options, magnify=None, init=""))
 
 
 def test_reduced_images_are_refused(data, tmp_path):
@@ -394,11 +397,12 @@ def test_the_hash_in_a_name_is_that_of_the_content(tmp_path):
         load_flow(str(whole))
 
 
-def test_the_network_learns_from_the_teacher_alone(data, tmp_path, weights, two_updates):
+@pytest.mark.parametrize("teacher", ["raft", "raft-matches"])
+def test_the_network_learns_from_the_teacher_alone(data, tmp_path, weights, teacher, two_updates):
     """The paper's self-supervision: neither rotation nor depth, only what the teacher sees."""
     options = training(
-        data, tmp_path, teacher="raft", flow_weights=str(weights), max_steps=1,
-        loss=LossWeights(rotation=0, matching=0), loading=Loading(batch=1, workers=0),
+        data, tmp_path, teacher=teacher, teacher_device="cpu", flow_weights=str(weights),
+        max_steps=1, loss=LossWeights(rotation=0, matching=0), loading=Loading(batch=1, workers=0),
     )  # fmt: skip
     train.train(options)
     lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
@@ -473,8 +477,11 @@ def test_matches_of_a_teacher_teach_as_exact_flow_does(data, worst):
     worst("its gradient", (gradient - exact).abs().max() / exact.abs().max(), 1e-3)
 
 
-def test_nothing_to_minimise_is_refused(data, tmp_path):
-    options = training(data, tmp_path, teacher="none", loss=LossWeights(rotation=0, matching=0))
+@pytest.mark.parametrize(
+    "teacher, loss", [("none", LossWeights(0, matching=0)), ("raft", LossWeights(0, flow=0))]
+)
+def test_nothing_to_minimise_is_refused(data, tmp_path, teacher, loss):
+    options = training(data, tmp_path, teacher=teacher, loss=loss)
     with pytest.raises(UserError, match="nothing to minimise"):
         train.train(options)
 

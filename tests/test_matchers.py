@@ -298,6 +298,8 @@ def test_the_first_refinement_goes_to_the_best_places_of_each_window():
 class Known:
     """A flow network that sees the same flow everywhere, there and back."""
 
+    magnify = 1.0
+
     def flow(self, left: Tensor, right: Tensor) -> Tensor:
         there = torch.tensor([12.0, -5.0]).reshape(1, 2, 1, 1).expand(1, 2, *left.shape[-2:])
         return torch.cat([there, -there])

@@ -21,6 +21,7 @@ from accelerate.state import AcceleratorState
 from painted import painted_pair
 from safetensors import safe_open
 from safetensors.torch import load_file
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tiny_network import TINY, TINY_PAPER, network, road_set, training
 
 from flowrect import checkpoint, loop, runlog, train
@@ -105,6 +106,18 @@ def test_a_finished_run_trains_no_further(data, tmp_path):
     before = rows(tmp_path)
     assert train.train(options) == scores
     assert rows(tmp_path) == before
+
+
+def test_tensorboard_has_what_the_file_has(data, tmp_path):
+    train.train(training(data, tmp_path, max_steps=10, val_every=5))
+    board = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    [step] = [row for row in rows(tmp_path) if row["step"] == 10 and "loss" in row]
+    [shown] = board.Scalars("train/loss")
+    assert (shown.step, shown.value) == (10, pytest.approx(step["loss"], rel=1e-6))
+    scores = [row["validation"]["pitch_deg"] for row in rows(tmp_path) if "validation" in row]
+    values = [scalar.value for scalar in board.Scalars("validation/pitch_deg")]
+    assert values == pytest.approx(scores, rel=1e-6)
+    assert len(values) == 2
 
 
 def test_loss_falls_on_few_pairs(data, tmp_path):

@@ -107,8 +107,8 @@ class VerticalFlow:
     """Mean |vertical flow| by a network, |horizontal flow| of a vertical rig."""
 
     flow: Flow
-    weights: str
-    """their digest"""
+    stamp: str
+    """of the code and of the weights"""
     memory: Memory
 
     @staticmethod
@@ -117,14 +117,15 @@ class VerticalFlow:
         from flowrect.flow_network import load_flow  # needs torchvision, 2 s of every start
 
         network = load_flow(name)
-        weights = digest(*(x.numpy() for x in network.state_dict().values()))
-        return VerticalFlow(network.flow, weights, Memory(path))
+        weights = (x.numpy() for x in network.state_dict().values())
+        by = f"{stamp.of_matcher('raft')} {network.magnify}"
+        return VerticalFlow(network.flow, digest(by.encode(), *weights), Memory(path))
 
     def figures(
         self, left: Image, right: Image, valid: NDArray[np.bool_], *, vertical: bool
     ) -> Mapping[str, float]:
         """As Look."""
-        key = digest(self.weights.encode(), bytes([vertical]), left, right, valid)
+        key = digest(self.stamp.encode(), bytes([vertical]), left, right, valid)
         return self.memory.of(key, lambda: self._measured(left, right, valid, vertical))
 
     @torch.inference_mode()

@@ -51,7 +51,8 @@ def load() -> Matcher:
 def _match(left: Image, right: Image, *, net: FlowNetwork) -> Matches:
     if left.shape != right.shape:
         raise ValueError(f"raft: images are {left.shape} and {right.shape}; expected one size")
-    seen = [shrunk(image, MAX_SIDE_PX) for image in (left, right)]
+    limit = round(MAX_SIDE_PX / net.magnify)
+    seen = [shrunk(image, limit) for image in (left, right)]
     h, w = seen[0].shape[:2]
     if min(h, w) <= STEP:
         return no_matches()
