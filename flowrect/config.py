@@ -163,6 +163,9 @@ class LoopOptions:
     """backward passes per optimiser step"""
     clip: float = 1.0
     """of the gradient's norm; not in the paper"""
+    average: float = 0.0
+    """decay of a moving average of the weights, such as .99, which is what is validated and saved;
+    0: the weights of the last step. Not in the paper"""
     precision: Literal["no", "bf16", "fp16"] = "no"
     """of the network; geometry stays float64"""
     val_pairs: int = 48

@@ -19,6 +19,7 @@ import torch
 from accelerate import Accelerator
 from safetensors.torch import save_file
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from flowrect import checkpoint
 from flowrect.config import LoopOptions
@@ -127,9 +128,11 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             log.step(run.step, {**means, "lr": lr, **watch.lap()}, epoch_steps)
             if run.step % options.val_every and not stopping and run.step < last_step:
                 continue
-            if accelerator.is_main_process:
-                run.scores = task.validate(val_loader)
-                log.validation(run.step, run.scores)
+            with run.averaged_weights():
+                if accelerator.is_main_process:
+                    run.scores = task.validate(val_loader)
+                    log.validation(run.step, run.scores)
+                run.save_weights()
             run.save()
             if stopping:
                 break
@@ -161,13 +164,32 @@ class Run:
     hours_before: float = 0.0
     """of the runs that this one goes on from"""
 
+    def __post_init__(self) -> None:
+        self._average = average_of(self.task.model, self.options.average)
+
     def update(self, lr: float) -> None:
         """Takes a step along the gradients that were gathered."""
         for group in self.optimiser.param_groups:
             group["lr"] = lr
         self.optimiser.step()
         self.optimiser.zero_grad()
+        if self._average is not None:
+            self._average.update_parameters(self.task.model)
         self.step += 1
+
+    @contextmanager
+    def averaged_weights(self) -> Iterator[None]:
+        """The model has its averaged weights meanwhile, if they are averaged."""
+        if self._average is None:
+            yield
+            return
+        model = self.task.model
+        own = {name: x.clone() for name, x in model.state_dict().items()}
+        model.load_state_dict(self._average.module.state_dict())
+        try:
+            yield
+        finally:
+            model.load_state_dict(own)
 
     def note_prior_range(self, batch: Batch) -> None:
         """Widens the range by the priors of a batch."""
@@ -175,8 +197,8 @@ class Run:
         seen = angles_per_axis_rad(batch.R, batch.R_nominal).abs().amax(0).rad2deg().cpu()
         self.prior_range_deg = torch.maximum(self.prior_range_deg, seen)
 
-    def save(self) -> None:
-        """Checkpoint and last weights, and the best ones if the last scores are."""
+    def save_weights(self) -> None:
+        """The last weights, and the best ones if the last scores are."""
         shared = self.accelerator.gather(self.prior_range_deg[None].to(self.accelerator.device))
         self.prior_range_deg = shared.amax(0).cpu()
         if not self.accelerator.is_main_process:
@@ -186,7 +208,11 @@ class Run:
             self.best = self.scores[self.task.score]
             self.task.save(out / "best.safetensors", seen)
         self.task.save(out / "last.safetensors", seen)
-        checkpoint.save(out / CHECKPOINT, self._state())
+
+    def save(self) -> None:
+        """The checkpoint, which goes with the weights that were saved before it."""
+        if self.accelerator.is_main_process:
+            checkpoint.save(self.options.out / CHECKPOINT, self._state())
 
     def resume(self) -> None:
         """Goes on from the checkpoint of the run's folder, if there is one."""
@@ -195,6 +221,8 @@ class Run:
             return
         state = checkpoint.load(path, plain(self.options), self.fingerprint)
         self.task.model.load_state_dict(state["model"])
+        if self._average is not None:
+            self._average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.loader.load_state_dict(state["loader"])
         if self.accelerator.scaler is not None:
@@ -210,6 +238,7 @@ class Run:
             "options": plain(self.options),
             "fingerprint": self.fingerprint,
             "model": self.task.model.state_dict(),
+            "average": self._average.state_dict() if self._average else None,
             "optimiser": self.optimiser.state_dict(),
             "loader": self.loader.state_dict(),
             "scaler": scaler.state_dict() if scaler else None,
@@ -244,6 +273,13 @@ class Run:
 # --- before the loop ---------------------------------------------------------------------------
 
 
+def average_of(model: torch.nn.Module, decay: float) -> AveragedModel | None:
+    """A moving average of the model's weights, buffers included; none if the decay is 0."""
+    if not decay:
+        return None
+    return AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=True)
+
+
 def make_accelerator(options: LoopOptions) -> Accelerator:
     """Told ``cpu=True``, or several processes on a CPU would not find each other: one copy each."""
     return Accelerator(mixed_precision=options.precision, cpu=not torch.cuda.is_available())
@@ -270,6 +306,8 @@ def _require_sensible(options: LoopOptions) -> None:
     ):
         if value < 1:
             raise UserError(f"{name} {value}: expected at least 1.")
+    if not 0 <= options.average < 1:
+        raise UserError(f"--average {options.average:g}: expected 0 or more, below 1.")
     if options.precision == "fp16" and not torch.cuda.is_available():
         raise UserError("--precision fp16 needs a GPU, and there is none; take bf16 or no.")
 

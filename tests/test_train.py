@@ -75,12 +75,12 @@ def interrupt_after(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop, "learning_rate", interrupting)
 
 
-@pytest.mark.parametrize("model", [TINY, TINY_PAPER], ids=["small", "paper"])
+@pytest.mark.parametrize("model, average", [(TINY, 0.6), (TINY_PAPER, 0)], ids=["small", "paper"])
 def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(
-    model, data, tmp_path, monkeypatch
+    model, average, data, tmp_path, monkeypatch
 ):
     whole, parts = (
-        training(data, tmp_path / name, model=model, accumulate=2, max_steps=4,
+        training(data, tmp_path / name, model=model, average=average, accumulate=2, max_steps=4,
                  both_directions=False) for name in "ab"
     )  # fmt: skip
     train.train(whole)
@@ -98,6 +98,33 @@ def test_interrupted_and_resumed_equals_uninterrupted_bit_for_bit(
         a["optimiser"]["state"].values(), b["optimiser"]["state"].values(), strict=True
     ):
         assert torch.equal(x["exp_avg_sq"], y["exp_avg_sq"])
+
+
+def test_averaged_weights_are_saved_and_training_goes_on_from_its_own(data, tmp_path, monkeypatch):
+    """The first step's weights, then .75 of what there was and .25 of each further step's."""
+    steps, update = [], loop.Run.update
+
+    def remember(run: loop.Run, lr: float) -> None:
+        update(run, lr)
+        steps.append({k: x.clone() for k, x in run.task.model.state_dict().items()})
+
+    monkeypatch.setattr(loop.Run, "update", remember)
+    plain = training(data, tmp_path / "a", max_steps=3, val_every=1)
+    train.train(plain)
+    train.train(replace(plain, out=tmp_path / "b", average=0.75))
+    expected, averaged = steps[:3], steps[3:]
+    saved = load_file(tmp_path / "b" / "last.safetensors")
+    for name, tensor in saved.items():
+        assert all(torch.equal(a[name], b[name]) for a, b in zip(expected, averaged, strict=True))
+        first, second, third = (step[name] for step in expected)
+        mean = 0.75 * (0.75 * first + 0.25 * second) + 0.25 * third
+        torch.testing.assert_close(tensor, mean, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("average", [-0.1, 1.0])
+def test_an_average_that_is_none_is_refused(average, data, tmp_path):
+    with pytest.raises(UserError, match=f"--average {average:g}: expected 0 or more, below 1"):
+        train.train(training(data, tmp_path, average=average))
 
 
 def test_a_finished_run_trains_no_further(data, tmp_path):
