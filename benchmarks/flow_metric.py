@@ -3,8 +3,9 @@
     python benchmarks/flow_metric.py --data test/ --flow-weights runs/raft/best.safetensors
 
 For pairs as they stand, rectified by the true pose, and rectified by one that is wrong by up to 1°
-about each axis: end-point error and |vertical error| at 512×256 over what both cameras see, and the
-mean |vertical flow| of each pair by RAFT and exactly, where both images have content. RAFT's is of
+about each axis: end-point error and |vertical error| at 512×256 over what both cameras see, the
+mean of the vertical error with its sign, over each pair and then over pairs, and the mean
+|vertical flow| of each pair by RAFT and exactly, where both images have content. RAFT's is of
 every such pixel, as in training (losses.image_flow_loss); the exact one, as everywhere
 (metrics.exact_vertical_flow), of those whose ends lie in both frames, occluded ones too.
 """
@@ -29,12 +30,19 @@ from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing
 from flowrect.sample import Batch
 from flowrect.sources import open_source
-from flowrect.train_flow import Views, as_they_stand, error_sizes, exact_flow, rectified_wrongly
+from flowrect.train_flow import (
+    Views,
+    as_they_stand,
+    error_sizes,
+    exact_flow,
+    flow_errors,
+    rectified_wrongly,
+)
 from simgen.errors import UserError
 
 KINDS = {"as they stand": None, "rectified by the truth": 0.0, "rectified, up to 1° off": 1.0}
-HEADER = ("", "EPE mean", "median", "vertical error mean", "median", "vertical flow by RAFT",
-          "exact", "correlation over pairs")  # fmt: skip
+HEADER = ("", "EPE mean", "median", "vertical error mean", "median", "its mean with its sign",
+          "vertical flow by RAFT", "exact", "correlation over pairs")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,13 @@ def vertical_flows(flow: Tensor, seen: Views) -> Tensor:
     return torch.stack([_mean(predicted, seen.valid[:, 0]), _mean(exact, counted)], dim=-1)
 
 
+def vertical_bias(flow: Tensor, seen: Views) -> Tensor:
+    """Mean vertical error (B,) [px] of a predicted flow (B, 2, H, W), with its sign."""
+    error, counted = flow_errors(flow, seen.batch)
+    across = across_epipolar_lines(error, seen.vertical)
+    return across.where(counted, torch.nan).nanmean(1)
+
+
 def _at_nearest(valid: Tensor, uv: Tensor) -> Tensor:
     """valid (B, 1, H, W) at the pixels nearest to uv (B, N, 2)."""
     h, w = valid.shape[-2:]
@@ -87,6 +102,7 @@ def measured(network: Network, batches: Iterable[Batch]) -> list[list[object]]:
     rng = torch.Generator().manual_seed(0)
     errors: dict[str, list[Tensor]] = {kind: [] for kind in KINDS}
     flows: dict[str, list[Tensor]] = {kind: [] for kind in KINDS}
+    bias: dict[str, list[Tensor]] = {kind: [] for kind in KINDS}
     for batch in batches:
         if batch.R is None or batch.truth is None:
             raise UserError(f"{batch.names[0]} has no exact flow; expected rendered pairs.")
@@ -99,16 +115,18 @@ def measured(network: Network, batches: Iterable[Batch]) -> list[list[object]]:
             flow = network.flow(seen.batch.left_metric, seen.batch.right_metric)
             errors[kind].append(error_sizes(flow, seen))
             flows[kind].append(vertical_flows(flow, seen))
-    return [_row(kind, torch.cat(errors[kind]), torch.cat(flows[kind])) for kind in KINDS]
+            bias[kind].append(vertical_bias(flow, seen))
+    return [_row(k, *(torch.cat(found[k]) for found in (errors, bias, flows))) for k in KINDS]
 
 
-def _row(kind: str, errors: Tensor, flows: Tensor) -> list[object]:
-    """From errors (N, 2) of all points and vertical flows (P, 2) of all pairs."""
+def _row(kind: str, errors: Tensor, bias: Tensor, flows: Tensor) -> list[object]:
+    """From errors (N, 2) of all points, bias (P,) and vertical flows (P, 2) of all pairs."""
     by_network, exact = flows.double().T.numpy()
     vary = min(np.ptp(by_network), np.ptp(exact)) > 0.01
     correlation = np.corrcoef(by_network, exact)[0, 1] if vary else np.nan
     mean, median = errors.mean(0), errors.median(0).values
-    figures = (mean[0], median[0], mean[1], median[1], by_network.mean(), exact.mean(), correlation)
+    figures = (mean[0], median[0], mean[1], median[1], bias.nanmean(), by_network.mean(),
+               exact.mean(), correlation)  # fmt: skip
     return [kind, *map(float, figures)]
 
 

@@ -74,6 +74,14 @@ def test_exact_flow_has_no_error_and_the_exact_vertical_flow(vertical):
     assert error_sizes(flow, seen).max() < 1e-4
 
 
+@pytest.mark.parametrize("vertical", [False, True])
+def test_a_constant_error_is_a_bias_of_its_size_and_sign(vertical):
+    seen, flow = views_at_infinity(vertical)
+    error = torch.tensor([-0.3, 9.0] if vertical else [9.0, -0.3])
+    off = flow + error[:, None, None]
+    assert flow_metric.vertical_bias(off, seen).tolist() == pytest.approx([-0.3], abs=1e-4)
+
+
 def test_pixels_that_one_image_lacks_have_no_say():
     seen, flow = views_at_infinity(False)
     expected = flow_metric.vertical_flows(flow, seen)
@@ -91,13 +99,13 @@ class Still:
 def test_the_vertical_error_of_seeing_nothing_is_the_vertical_flow(tmp_path):
     pairs = open_source(road_set(tmp_path, 2), split="train", truth_points=None)
     loader = PairLoader(pairs, Sizing(METRIC_WH), None, Loading(1, 0, shuffle=False))
-    rows = {row[0]: np.array(row[1:7]) for row in flow_metric.measured(Still(), loader)}
+    rows = {row[0]: np.array(row[1:8]) for row in flow_metric.measured(Still(), loader)}
     assert rows["rectified by the truth"][2:] == pytest.approx(0, abs=1e-6)
     unrectified, wrong = rows["as they stand"], rows["rectified, up to 1° off"]
-    assert wrong[4] == unrectified[4] == 0  # by the network
-    assert 0.5 < wrong[5] < 12
+    assert wrong[5] == unrectified[5] == 0  # by the network
+    assert 0.5 < wrong[6] < 12
     # over what both cameras see, against all: of the same size
-    assert unrectified[2] == pytest.approx(unrectified[5], rel=0.3)
+    assert unrectified[2] == pytest.approx(unrectified[6], rel=0.3)
 
 
 # --- method_time ---------------------------------------------------------------------------------
