@@ -169,6 +169,7 @@ def _require_sensible(options: EvaluateOptions) -> None:
         ("--matched-pairs", options.matched_pairs, 0),
         ("--jobs", options.jobs, 1),
         ("--time-limit-s", options.time_limit_s, 1),
+        ("--turn-deg", options.turn_deg, 0),
     ):
         if value < least:
             raise UserError(f"{name} {value:g}: expected at least {least}.")

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import replace
@@ -29,7 +30,7 @@ from flowrect.evaluate import EvaluateOptions, evaluate, main
 from flowrect.evaluation import predictions, report, seconds, stamp
 from flowrect.evaluation.delivered import Delivered, Delivery, prior
 from flowrect.evaluation.offsets import FLOW, FLOW_VALID, Memory, Offsets, VerticalFlow
-from flowrect.evaluation.predict import FAULT, Run, _matches, predict
+from flowrect.evaluation.predict import FAULT, TOO_LONG, Run, _matches, predict
 from flowrect.evaluation.predictions import Origin
 from flowrect.evaluation.scores import Score, scored
 from flowrect.evaluation.tables import document, main_table
@@ -293,6 +294,38 @@ def test_whatever_a_method_does_to_one_pair_the_others_are_predicted(wall, tmp_p
     assert not run.path("broken", "gt").exists()
 
 
+def test_whoever_leaves_does_not_wait_for_what_is_being_predicted(wall, tmp_path):
+    """As after Ctrl-C, which comes while the method sleeps on the second pair."""
+    shutil.copytree(wall, tmp_path / "wall")
+    write_rgb(tmp_path / "wall" / "left" / "b.png", np.zeros((240, 400, 3), np.uint8))
+    run = Run(Delivery(tmp_path / "wall", "all", (256, 128), 0, 1.0), ("sleeps",), ("gt",),
+              tmp_path / "out", time_limit_s=300)  # fmt: skip
+
+    def leave(done: int, of: int) -> None:
+        if done == 1:
+            time.sleep(1)  # the second one has begun
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        predict(run, leave, load=load_odd)
+    assert time.monotonic() - began < 60
+    assert len(rows_of(run, "sleeps")) == 1
+
+
+def test_a_pair_that_took_too_long_is_tried_again_with_more_time_only(wall, tmp_path):
+    run = Run(Delivery(wall, "all", (256, 128), 1, 1.0), ("raises",), ("gt",), tmp_path, 10.0)
+    path, fingerprint = run.path("raises", "gt"), run.delivery.open().fingerprint
+    late = predictions.Prediction(0, "", None, TOO_LONG.format(10.0))
+    origin = Origin("raises", "gt", fingerprint, stamp.of_method("raises"))
+    for limit_s, again in ((10.0, False), (9.0, False), (11.0, True)):
+        path.parent.mkdir(exist_ok=True)
+        predictions.write(path, [late], origin)
+        predict(replace(run, time_limit_s=limit_s), load=load_odd)
+        [row] = rows_of(run, "raises")
+        assert (row.estimate is not None) == again
+
+
 def test_all_methods_see_a_pair_in_one_process(wall, tmp_path, monkeypatch):
     by_pair: dict[int, set[int]] = {}
 
@@ -419,6 +452,18 @@ def test_a_wild_pose_is_a_failure_and_betters_no_mean(data):
     assert figures["yaw_deg"] > 140
     for name in ("vertical_flow_px", "mae_paper", "disparity_bias_px"):
         assert 0 < abs(figures[name]) == abs(left_over[name])
+
+
+def test_a_wild_pose_of_a_real_pair_is_a_failure_too(wall):
+    pairs = Delivery(wall, "all", (256, 128), 0, 1.0).open(None)
+    turn = Rotation.from_rotvec([0, 150, 0], degrees=True).as_matrix()
+    wild = predictions.Prediction(0, "", PoseEstimate(turn, np.array([-0.4, 0, 0])))
+    none = predictions.Prediction(0, "", None, "found nothing")
+    rows = {("m", "gt"): {0: wild}, ("none", "gt"): {0: none}}
+    by_name = {s.method: s for s in next(scored(pairs, rows, ("gt",), looks=(), matched=()))}
+    assert by_name["m"].failure == "its rectified images have nothing in common"
+    assert by_name["m"].figures["mae_valid"] == by_name["none"].figures["mae_valid"] > 0
+    assert by_name["unrectified"].failure == by_name["truth"].failure == ""
 
 
 def test_the_command_writes_tables_of_every_method(data, tmp_path, capsys):
@@ -596,6 +641,7 @@ def test_a_limit_is_spread_over_the_set(data):
         (["--methods", "sift+6dof"], r"method 'sift\+6dof': expected some of network"),
         (["--jobs", "0"], "--jobs 0: expected at least 1"),
         (["--limit", "-1"], "--limit -1: expected at least 0"),
+        (["--turn-deg", "-1"], "--turn-deg -1: expected at least 0"),
         (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),
         (["--offsets", "shift"], "shift"),
         (["--flow-network", "no.pth"], "flow weights 'no.pth': no such file"),

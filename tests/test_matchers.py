@@ -21,6 +21,7 @@ from torch import Tensor
 from flowrect import matchers
 from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, save_flow
 from flowrect.matchers import _images, _weights, efficientloftr, load_matcher, raft, sift
+from flowrect.matchers.dis import consistent
 from flowrect.matches import Matches
 from flowrect.methods import METHODS
 from flowrect.sample import Image
@@ -314,6 +315,22 @@ def test_flow_of_a_shrunk_image_is_in_pixels_of_the_image(scale, monkeypatch):
     flow = np.broadcast_to([12 * scale, -5 * scale], found.uv_left.shape)
     np.testing.assert_allclose(found.uv_right - found.uv_left, flow, atol=1e-9)
     assert found.uv_right.max(0)[0] <= 240 * scale - 0.5
+
+
+def test_a_full_size_image_has_matches_all_over():
+    """More points of the grid (2^15 and more) than a map of OpenCV may have rows."""
+    wh = (2560, 1440)
+    there = np.broadcast_to(np.float32([12.5, -5.25]), (wh[1], wh[0], 2)).copy()
+    back = -there
+    back[700:] += 2.0  # does not agree
+    found = consistent(there, back, step=6, cycle_px=1.0)
+    right, bottom = wh[0] - 1 - 12.5, 700
+    expected = sum(3 <= u <= right for u in range(3, 2560, 6)) * sum(
+        5.25 <= v <= bottom - 1 + 5.25 for v in range(3, 1440, 6)
+    )
+    assert len(found) == expected > 2**15
+    np.testing.assert_allclose(found.uv_right - found.uv_left, [[12.5, -5.25]] * len(found))
+    np.testing.assert_allclose(found.score, 1.0)
 
 
 # --- what is said

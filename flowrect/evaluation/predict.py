@@ -43,6 +43,8 @@ from simgen.shards import write_atomically
 
 FAULT = "fault of the machine"
 """begins a failure that is not the method's: such a pair is tried again by the next run"""
+TOO_LONG = "took longer than {:g} s and was stopped"
+"""a failure that a run with more time tries again"""
 FLUSH_S = 10.0
 """between two writings of what was predicted"""
 
@@ -118,9 +120,17 @@ def _files(run: Run, fingerprint: str) -> list[_File]:
             path = run.path(method, translation)
             origin = Origin(method, translation, fingerprint, stamp.of_method(method))
             rows = predictions.read(path, origin) if path.exists() else []
-            kept = {r.index: r for r in rows if not r.failure.startswith(FAULT)}
+            kept = {r.index: r for r in rows if not _to_be_tried_again(r, run.time_limit_s)}
             found.append(_File(path, origin, translation, kept))
     return found
+
+
+def _to_be_tried_again(row: Prediction, time_limit_s: float) -> bool:
+    """Whether it was no fault of the method, or there is more time now."""
+    before, _, after = TOO_LONG.partition("{:g}")
+    if row.failure.startswith(before) and row.failure.endswith(after):
+        return float(row.failure[len(before) : -len(after)]) < time_limit_s
+    return row.failure.startswith(FAULT)
 
 
 def _flush(files: Sequence[_File]) -> None:
@@ -158,7 +168,9 @@ def _predicted(
     context = _fork_server()
     with ExitStack() as stack:
         for _ in range(run.jobs):
-            go_on(_Lane(stack.enter_context(ProcessPool(max_workers=1, context=context))))
+            pool = stack.enter_context(ProcessPool(max_workers=1, context=context))
+            stack.push(partial(_stop_if_interrupted, pool))
+            go_on(_Lane(pool))
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 i, file, lane = running.pop(future)
@@ -168,6 +180,12 @@ def _predicted(
                 else:
                     unavailable[file.method] = row
                 go_on(lane)
+
+
+def _stop_if_interrupted(pool: ProcessPool, error: object, *_: object) -> None:
+    """A pool that is left by an error would wait for its task, however long that takes."""
+    if error is not None:
+        pool.stop()
 
 
 def _fork_server() -> BaseContext:
@@ -187,7 +205,7 @@ def _settled(future: Any, i: int, time_limit_s: float) -> Prediction | str:
         result: Prediction | str = future.result()
         return result
     except TimeoutError:
-        return Prediction(i, "", None, f"took longer than {time_limit_s:g} s and was stopped")
+        return Prediction(i, "", None, TOO_LONG.format(time_limit_s))
     except ProcessExpired as error:
         return Prediction(i, "", None, f"{FAULT}: its process died ({error})")
 

@@ -145,11 +145,27 @@ def _scored(
     if row.estimate is None:
         return _figures(truth, nominal, translation, looks), row.failure
     figures = _figures(truth, row.estimate, translation, looks, as_it_is=as_it_is)
-    if truth.some is not None and np.isnan(figures["vertical_flow_px"]):
+    nothing_in_common = (
+        not _meet(truth, row.estimate, translation)
+        if truth.some is None
+        else np.isnan(figures["vertical_flow_px"])
+    )
+    if nothing_in_common and not as_it_is:
         own = {name: figures[name] for name in ANGLES}
         left_over = _figures(truth, nominal, translation, looks) | own
         return left_over, "its rectified images have nothing in common"
     return figures, ""
+
+
+def _meet(truth: _Truth, estimate: PoseEstimate, translation: Translation) -> bool:
+    """Whether the images, as the estimate rectifies them, fill some pixel both."""
+    batch = truth.batch
+    assert batch.t is not None
+    t = batch.t if translation == "gt" else _tensor(estimate.t)
+    K = batch.K_left_metric, batch.K_right_metric
+    rect = rectify(_tensor(estimate.R), t, *K, METRIC_WH)
+    seen = rectified_views(batch.left_metric, batch.right_metric, *K, rect)
+    return bool(seen.filled.all(1).any())
 
 
 def _methods(rows: Rows, translation: Translation) -> list[str]:

@@ -133,6 +133,10 @@ def _median(figure: str, digits: int = 3) -> Cell:
     return cell
 
 
+def _mean_and_median(figure: str) -> Cell:
+    return lambda scores: f"{_mean(figure)(scores)} / {_median(figure)(scores)}"
+
+
 def _failures(scores: Sequence[Score]) -> str:
     return str(failures(scores))
 
@@ -156,9 +160,9 @@ def columns(names: Sequence[str]) -> dict[str, Cell]:
         "median": _median("vertical_flow_px"),
         "MAE, paper": _mean("mae_paper"),
         "MAE, valid": _mean("mae_valid"),
-        "pitch [°]": _mean("pitch_deg"),
-        "yaw [°]": _mean("yaw_deg"),
-        "roll [°]": _mean("roll_deg"),
+        "pitch [°], mean / median": _mean_and_median("pitch_deg"),
+        "yaw [°], mean / median": _mean_and_median("yaw_deg"),
+        "roll [°], mean / median": _mean_and_median("roll_deg"),
         "geodesic [°]": _mean_and_interval("geodesic_deg"),
         "median [°]": _median("geodesic_deg"),
         "|disparity bias| [px]": _mean("disparity_bias_px"),

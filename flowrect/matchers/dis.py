@@ -68,12 +68,12 @@ def texture(grey: NDArray[np.uint8], window: int) -> NDArray[np.float32]:
 def consistent(forth: NDArray[Any], back: NDArray[Any], *, step: int, cycle_px: float) -> Matches:
     """Matches on a grid of ``step`` pixels where flow (H, W, 2) and flow back cancel."""
     h, w = forth.shape[:2]
-    v, u = np.mgrid[step // 2 : h : step, step // 2 : w : step].reshape(2, -1)
-    uv_left: Array = np.stack([u, v], axis=1).astype(np.float64)
+    v, u = np.mgrid[step // 2 : h : step, step // 2 : w : step]
+    uv_left: Array = np.stack([u, v], axis=-1).astype(np.float64)
     uv_right = uv_left + forth[v, u]
-    inside = ((uv_right >= 0) & (uv_right <= [w - 1, h - 1])).all(1)
-    x, y = uv_right.astype(np.float32).T
-    returned = cv2.remap(back, x[:, None], y[:, None], cv2.INTER_LINEAR)[:, 0]
-    cycle = np.linalg.norm(forth[v, u] + returned, axis=1)
+    inside = ((uv_right >= 0) & (uv_right <= [w - 1, h - 1])).all(-1)
+    # As a grid: a map of one column may have fewer rows (2^15) than there are points.
+    returned = cv2.remap(back, uv_right.astype(np.float32), None, cv2.INTER_LINEAR)
+    cycle = np.linalg.norm(forth[v, u] + returned, axis=-1)
     kept = inside & (cycle <= cycle_px)
     return Matches(uv_left[kept], uv_right[kept], 1 / (1 + cycle[kept]))

@@ -1,6 +1,6 @@
 """The essential matrix from matches and known intrinsics, robustly; R and t's direction from it.
 
-All solvers take thresholds in pixels, see neither prior nor rig, and return a pose whose t has the
+All solvers take thresholds in pixels, see neither prior nor rig (``supported`` refuses what is far from the prior), and return a pose whose t has the
 prior's length.
 """
 
