@@ -109,6 +109,14 @@ def available(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     return [name for name in names if name not in lacking], lacking
 
 
+def _require_sensible(options: DepthOptions) -> None:
+    for name, value, least in (("--pairs", options.pairs, 1), ("--limit", options.limit, 0)):
+        if value < least:
+            raise UserError(f"{name} {value}: expected at least {least}.")
+    if not options.nearest_m > 0:
+        raise UserError(f"--nearest-m {options.nearest_m:g}: expected more than 0.")
+
+
 def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
     """Depth samples of every pair, by method."""
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit)
@@ -268,15 +276,19 @@ def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> No
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; 2 if the user has to mend something."""
+    """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
     options = tyro.cli(DepthOptions, args=arguments, prog="flowrect.evaluate_depth")
     try:
+        _require_sensible(options)
         names, lacking = available(options.stereo)
         for name in names:
             _write(options, name, lacking)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted: nothing is written of the stereo matcher at work.")
+        return 130
     for name, why in lacking.items():
         print(f"{name}: no weights: {why}")
     return 0

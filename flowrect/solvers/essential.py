@@ -1,7 +1,7 @@
 """The essential matrix from matches and known intrinsics, robustly; R and t's direction from it.
 
-All solvers take thresholds in pixels, see neither prior nor rig (``supported`` refuses what is far from the prior), and return a pose whose t has the
-prior's length.
+All solvers take thresholds in pixels, see neither prior nor rig (``supported`` refuses what is far
+from the prior), and return a pose whose t has the prior's length.
 """
 
 from __future__ import annotations
