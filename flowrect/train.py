@@ -27,7 +27,7 @@ from flowrect.config import (
     RivalOptions,
     TrainOptions,
 )
-from flowrect.drectify import rectify, warp
+from flowrect.drectify import Rectification, rectify, warp
 from flowrect.loading import PairLoader
 from flowrect.losses import (
     correspondences_of_flow,
@@ -107,7 +107,7 @@ def flow_term(
     with torch.set_grad_enabled(through and torch.is_grad_enabled()):
         left, valid_left = warp(batch.left_metric, K_left, rect.R_left, rect.K_new, METRIC_WH)
         right, valid_right = warp(batch.right_metric, K_right, rect.R_right, rect.K_new, METRIC_WH)
-        flow = _flow_of(teacher, left, right)
+        flow = _flow_of(teacher, left, right, _right_first(rect, t))
     if through:
         return image_flow_loss(flow, valid_left & valid_right, rect.vertical, weight=weight)
     matches = correspondences_of_flow(flow, rect)
@@ -121,10 +121,23 @@ def _raft(weights: str) -> FlowNetwork:
     return load_flow(weights)
 
 
-def _flow_of(teacher: FlowNetwork, left: Tensor, right: Tensor) -> Tensor:
-    """The teacher's flow, wherever it runs, where the images are."""
-    device = next(teacher.parameters()).device
-    return teacher.flow(left.to(device), right.to(device)).to(left.device)
+def _right_first(rect: Rectification, t: Tensor) -> Tensor:
+    """Whether the first camera is the right one of a rig (B,), as with ``both_directions``."""
+    baseline = (rect.R_right @ t[..., None])[..., 0]
+    return ~rect.vertical & (baseline[..., 0] > 0)
+
+
+def _flow_of(teacher: FlowNetwork, left: Tensor, right: Tensor, mirror: Tensor) -> Tensor:
+    """The teacher's flow, wherever it runs, where the images are.
+
+    It knows rigs whose left camera comes first, in which points move to the left. Others (B,) are
+    mirrored for it.
+    """
+    device, mirror = next(teacher.parameters()).device, mirror[:, None, None, None]
+    left, right = (torch.where(mirror, x.flip(-1), x) for x in (left, right))
+    flow = teacher.flow(left.to(device), right.to(device)).to(left.device)
+    mirrored_back = flow.flip(-1) * flow.new_tensor([-1.0, 1.0])[:, None, None]
+    return torch.where(mirror, mirrored_back, flow)
 
 
 @torch.inference_mode()

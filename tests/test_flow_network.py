@@ -23,7 +23,7 @@ from flowrect.config import FlowOptions, LossWeights
 from flowrect.correspondences import Correspondences
 from flowrect.drectify import rectify
 from flowrect.flow_network import FlowCard, FlowNetwork, Flows, load_flow, read_card, save_flow
-from flowrect.geometry import pixel_grid, unproject
+from flowrect.geometry import pixel_grid, rotation_from_vector, unproject
 from flowrect.loading import Loading, PairLoader
 from flowrect.metrics import METRIC_WH, exact_vertical_flow
 from flowrect.resize import Sizing
@@ -442,6 +442,34 @@ class Exact:
         uv1 = torch.stack([u, v, torch.ones_like(u)]).double()
         ends = torch.einsum("bij,jhw->bihw", self._homography, uv1)
         return (ends[:, :2] / ends[:, 2:] - uv1[:2]).float()
+
+
+class LeftFirst:
+    """A teacher that knows only scenes that move to the left: dv is the left image's red."""
+
+    def parameters(self):
+        yield torch.zeros(1)
+
+    def flow(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        u = torch.arange(left.shape[-1]).expand_as(left[:, 0])
+        return torch.stack([-1.0 - u, left[:, 0]], dim=1)
+
+
+def test_a_pair_whose_right_camera_comes_first_is_mirrored_for_the_teacher():
+    left, right = torch.rand(2, 2, 3, 4, 6)
+    usual, mirrored = train._flow_of(LeftFirst(), left, right, torch.tensor([False, True]))
+    torch.testing.assert_close(usual[1], left[0, 0])
+    torch.testing.assert_close(mirrored[1], left[1, 0])  # at the same pixels
+    assert usual[0, 0].tolist() == [-1, -2, -3, -4, -5, -6]
+    assert mirrored[0, 0].tolist() == [6, 5, 4, 3, 2, 1]
+
+
+def test_which_camera_comes_first_is_told_by_the_baseline():
+    K = torch.tensor([[[40.0, 0, 23.5], [0, 40, 15.5], [0, 0, 1]]], dtype=torch.float64)
+    t = torch.tensor([[-0.8, 0.1, 0], [0.8, 0.1, 0], [0, 0.8, 0], [0.1, -0.8, 0]]).double()
+    R = rotation_from_vector(0.03 * torch.rand(4, 3, dtype=torch.float64))
+    rect = rectify(R, t, K.expand(4, 3, 3), K.expand(4, 3, 3), (48, 32))
+    assert train._right_first(rect, t).tolist() == [False, True, False, False]
 
 
 def test_matches_of_a_teacher_teach_as_exact_flow_does(data, worst):
