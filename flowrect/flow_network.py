@@ -98,19 +98,25 @@ class FlowNetwork(nn.Module):
         build, radius = SIZES[size]
         self.raft = build(weights=None, corr_block=_Correlation(radius=radius))
 
-    def flow(self, left: Tensor, right: Tensor) -> Tensor:
-        """Flow (B, 2, H, W) [px] from left to right images (B, 3, H, W)."""
-        return self(left, right).refined[-1]
+    def flow(self, left: Tensor, right: Tensor, magnify: float | None = None) -> Tensor:
+        """Flow (B, 2, H, W) [px] from left to right images (B, 3, H, W); see ``forward``."""
+        return self(left, right, magnify=magnify).refined[-1]
 
-    def forward(self, left: Tensor, right: Tensor, updates: int = UPDATES) -> Flows:
-        """The flow after each update, of which there may be none; H and W: multiples of STRIDE."""
+    def forward(
+        self, left: Tensor, right: Tensor, updates: int = UPDATES, magnify: float | None = None
+    ) -> Flows:
+        """The flow after each update, of which there may be none; H and W: multiples of STRIDE.
+
+        ``magnify``: other than the network's own, for images of another size than it trained on.
+        """
+        magnify = self.magnify if magnify is None else magnify
         h, w = left.shape[-2:]
         if min(h, w) < MIN_SIDE or h % STRIDE or w % STRIDE:
             raise UserError(
                 f"images of {w}x{h} px cannot be matched by RAFT: expected at least {MIN_SIDE} px "
                 f"along each side, and multiples of {STRIDE}."
             )
-        feature_wh = round(w * self.magnify / STRIDE), round(h * self.magnify / STRIDE)
+        feature_wh = round(w * magnify / STRIDE), round(h * magnify / STRIDE)
         left, right = (self._seen(x, feature_wh) for x in (left, right))
         raft, refined = self.raft, []
         if updates:

@@ -299,9 +299,10 @@ def test_the_first_refinement_goes_to_the_best_places_of_each_window():
 class Known:
     """A flow network that sees the same flow everywhere, there and back."""
 
-    magnify = 1.0
+    magnify = 2.0
 
-    def flow(self, left: Tensor, right: Tensor) -> Tensor:
+    def flow(self, left: Tensor, right: Tensor, magnify: float) -> Tensor:
+        assert magnify * max(left.shape[-2:]) == 240
         there = torch.tensor([12.0, -5.0]).reshape(1, 2, 1, 1).expand(1, 2, *left.shape[-2:])
         return torch.cat([there, -there])
 

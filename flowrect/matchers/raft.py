@@ -51,13 +51,13 @@ def load() -> Matcher:
 def _match(left: Image, right: Image, *, net: FlowNetwork) -> Matches:
     if left.shape != right.shape:
         raise ValueError(f"raft: images are {left.shape} and {right.shape}; expected one size")
-    limit = round(MAX_SIDE_PX / net.magnify)
-    seen = [shrunk(image, limit) for image in (left, right)]
+    seen = [shrunk(image, MAX_SIDE_PX) for image in (left, right)]
     h, w = seen[0].shape[:2]
     if min(h, w) <= STEP:
         return no_matches()
     first, second = same_size([tensor_of(x) for x in seen], multiple=8, at_least=MIN_SIDE)
-    flow = net.flow(torch.cat([first, second]), torch.cat([second, first]))
+    magnify = min(net.magnify, max(1.0, MAX_SIDE_PX / max(w, h)))  # memory is bounded, too
+    flow = net.flow(torch.cat([first, second]), torch.cat([second, first]), magnify)
     forth, back = flow[:, :, :h, :w].permute(0, 2, 3, 1).contiguous().numpy()
     found = consistent(forth, back, step=STEP, cycle_px=CYCLE_PX)
     uv_left, uv_right = (magnified(x, seen[0], left) for x in (found.uv_left, found.uv_right))
