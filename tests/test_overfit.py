@@ -18,7 +18,7 @@ def test_four_pairs_are_known_to_the_bar(tmp_path: Path) -> None:
     """The command's own bar, ``OVERFIT_BAR_DEG``, decides: 1 if it is missed."""
     data = tmp_path / "set"
     subprocess.run(
-        [*RENDER, "--n", "6", "--split", "train", "--weather", "clear", "--out", str(data)],
+        [*RENDER, "--n", "9", "--split", "train", "--weather", "clear", "--out", str(data)],
         check=True,
     )
     check = ["--data", str(data), "--out", str(tmp_path / "run"), "--preset", "small",
