@@ -206,7 +206,7 @@ class TrainOptions(PoseOptions):
     teacher: Literal["exact", "raft", "raft-matches", "none"] = "exact"
     """where vertical flow comes from. exact: depth and poses. raft: a frozen flow network, which
     needs no depth (the paper's own way). raft-matches: the same, but its gradient is that of
-    the geometry, with what was matched held fixed, not that of the network; takes half of the time.
+    the geometry, with what was matched held fixed, not that of the network; it takes less time.
     none: nowhere (the paper's "w/o OF")"""
     flow_weights: str = "raft"
     """of the teachers raft: a name or file of flowrect.train_flow, a file of torchvision's, or

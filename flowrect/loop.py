@@ -128,11 +128,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
             log.step(run.step, {**means, "lr": lr, **watch.lap()}, epoch_steps)
             if run.step % options.val_every and not stopping and run.step < last_step:
                 continue
-            with run.averaged_weights():
-                if accelerator.is_main_process:
-                    run.scores = task.validate(val_loader)
-                    log.validation(run.step, run.scores)
-                run.save_weights()
+            run.validate(val_loader, log)
             run.save()
             if stopping:
                 break
@@ -196,6 +192,14 @@ class Run:
         assert batch.R is not None, "checked by Task.require"
         seen = angles_per_axis_rad(batch.R, batch.R_nominal).abs().amax(0).rad2deg().cpu()
         self.prior_range_deg = torch.maximum(self.prior_range_deg, seen)
+
+    def validate(self, loader: PairLoader, log: RunLog) -> None:
+        """Scores the averaged weights, if they are averaged, and saves them."""
+        with self.averaged_weights():
+            if self.accelerator.is_main_process:
+                self.scores = self.task.validate(loader)
+                log.validation(self.step, self.scores)
+            self.save_weights()
 
     def save_weights(self) -> None:
         """The last weights, and the best ones if the last scores are."""
