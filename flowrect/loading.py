@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -152,7 +153,9 @@ class PairLoader:
         return self._batches.per_epoch
 
     def __iter__(self) -> Iterator[Batch]:
-        for batch in self._loader:
+        with _stopping_signals_held():
+            batches = iter(self._loader)
+        for batch in batches:
             self._batches.done += 1
             yield batch
         self._batches.epoch, self._batches.done = self._batches.epoch + 1, 0
@@ -166,13 +169,27 @@ class PairLoader:
         self._batches.epoch, self._batches.done = int(state["epoch"]), int(state["done"])
 
 
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def _stopping_signals_held() -> Iterator[None]:
+    """Signals that stop a training wait; workers forked meanwhile hold them from birth on."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _start_worker(_: int) -> None:
     """One thread a worker: they are many, and share the processor with the training.
 
     Signals that stop a training reach its whole process group; workers outlive them, so that the
     training can save. They end with it.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     cv2.setNumThreads(0)
     torch.set_num_threads(1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import time
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import torch
 from painted import painted_pair
 from small_set import make_frame, write_set
 
+from flowrect import loading
 from flowrect.augment import Augmentation
 from flowrect.cache import cached
 from flowrect.loading import EpochBatches, Loading, PairLoader
@@ -58,9 +60,14 @@ def test_batches_do_not_depend_on_the_number_of_workers(pairs: Pairs[int]) -> No
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_workers_outlive_a_signal_to_the_process_group(
-    pairs: Pairs[int], number: signal.Signals
+    pairs: Pairs[int], number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A batch system stops all processes of a training, which has to save first."""
+    """A batch system stops all processes of a training, which has to save first.
+
+    The second worker is still starting when the first one's batch is there and the signal comes.
+    """
+    start = loading._start_worker
+    monkeypatch.setattr(loading, "_start_worker", lambda n: (time.sleep(n), start(n)))
     loader = PairLoader(pairs, SIZING, None, Loading(batch=1, workers=2))
     seen = 0
     for batch in loader:
