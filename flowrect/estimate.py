@@ -25,6 +25,7 @@ from simgen.errors import UserError
 from simgen.geometry import Array, transform
 
 if TYPE_CHECKING:
+    from flowrect.rivals import PosePrediction
     from flowrect.weights import PoseNetwork
 
 MIN_CONTRAST = 2.0
@@ -38,7 +39,7 @@ class Estimate(Projections):
     R: Array
     """(3, 3) X_right = R X_left + t"""
     t: Array
-    """(3,) that of the prior: what is used of a network is rotation alone"""
+    """(3,) that of the prior, or in the direction that a rival predicts and as long"""
     correction_deg: Array
     """(3,) of R against the prior, about the right camera's x, y, z"""
     match_probability: float | None
@@ -91,7 +92,7 @@ class Calibrator:
                  *self.match_notes(probability))  # fmt: skip
         for note in notes:
             warnings.warn(note, stacklevel=2)
-        R, t = prediction.R[0].numpy(), pair.T_right_left_nominal[:3, 3]
+        R, t = prediction.R[0].numpy(), _translation(prediction, pair.T_right_left_nominal[:3, 3])
         return Estimate(
             **vars(projections(transform(R, t), pair.K_left, pair.K_right, pair.wh)),
             R=R,
@@ -127,7 +128,15 @@ def load_model(name_or_path: str | Path) -> Calibrator:
     return Calibrator(*load_weights(find_weights(name_or_path)))
 
 
-def _match_probability(prediction: object) -> float | None:
+def _translation(prediction: Prediction | PosePrediction, prior: Array) -> Array:
+    """t (3,) as long as the prior's: no image shows how long it is."""
+    if isinstance(prediction, Prediction) or prediction.t is None:
+        return prior
+    t: Array = prediction.t[0].numpy()
+    return t * (np.linalg.norm(prior) / np.linalg.norm(t))
+
+
+def _match_probability(prediction: Prediction | PosePrediction) -> float | None:
     if not isinstance(prediction, Prediction):
         return None
     return float(prediction.log_matches.amax(-1).exp().mean())

@@ -87,7 +87,7 @@ def unrectified(
 
 @dataclass(frozen=True)
 class Network:
-    """A trained network alone, whichever it is; t is the prior's.
+    """A trained network alone, whichever it is; t is the prior's unless it predicts one.
 
     It has an answer to any two images. Where its own matches say that these hardly show one scene,
     that is no solution: a vehicle is better off with the calibration that it has.

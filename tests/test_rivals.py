@@ -15,12 +15,13 @@ from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
 from tiny_network import network, pairs, road_set, rotations
 
-from flowrect import export_onnx, train
+from flowrect import export_onnx, halve_weights, train
 from flowrect.config import RIVAL_TRAINING
 from flowrect.estimate import load_model
 from flowrect.geometry import geodesic_rad
 from flowrect.loading import Loading
 from flowrect.methods import METHODS, load_method
+from flowrect.resize import Sizing, sized
 from flowrect.rivals import build
 from flowrect.rivals.config import RIVALS, DirectionNetConfig, RPNetConfig, ViTPoseConfig
 from flowrect.rivals.directionnet import (
@@ -43,6 +44,7 @@ from flowrect.rivals.vitpose import (
     quadratic_form,
     token_grid,
 )
+from flowrect.sample import Pair, collate
 from flowrect.weights import Card, load_weights, save_weights
 from simgen.errors import UserError
 from simgen.geometry import intrinsics, transform
@@ -412,6 +414,39 @@ def test_what_is_loaded_predicts_what_was_saved(name, tmp_path):
     assert torch.equal(loaded(**given).R, net(**given).R)
 
 
+@each
+def test_halved_weights_are_half_as_large_and_rounded(name, tmp_path, capsys, worst):
+    net = rival(name)
+    whole, half = tmp_path / "w.safetensors", tmp_path / "half.safetensors"
+    save_weights(whole, net, CARD)
+    assert halve_weights.main([str(whole), str(half)]) == 0
+    assert "MB -> " in capsys.readouterr().out
+    assert half.stat().st_size < 0.6 * whole.stat().st_size
+    loaded, card = load_weights(half, expected=TINY[name])
+    assert card == CARD
+    before, after = net.state_dict(), loaded.state_dict()
+    assert {x.dtype for x in loaded.parameters()} == {torch.float32}
+    assert any(not torch.equal(before[n], after[n]) for n in before)
+    errors = [(after[n] - x).abs().max() - x.abs().max() / 2048 for n, x in before.items()]
+    worst("rounding of weights beyond a 2048th", torch.stack(errors).clamp(min=0), 1e-7, "-")
+    assert all(torch.equal(after[n], x) for n, x in before.items() if x.ndim < 2)
+
+
+def test_what_cannot_be_halved_is_said(tmp_path, capsys):
+    net = rival("vitpose")
+    with torch.no_grad():
+        net.pose[0].weight[0, 0] = 7e4
+    save_weights(tmp_path / "w.safetensors", net, CARD)
+    target = tmp_path / "half.safetensors"
+    assert halve_weights.main([str(tmp_path / "w.safetensors"), str(target)]) == 2
+    assert "'pose.0.weight' reaches 7e+04, beyond the 65,504" in capsys.readouterr().err
+    (tmp_path / "x.txt").write_text("no weights")
+    for absent in ("x.txt", "absent.safetensors"):
+        assert halve_weights.main([str(tmp_path / absent), str(target)]) == 2
+        assert "is no safetensors file" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir() if "half" in p.name] == []
+
+
 def test_weights_of_another_network_are_refused(path):
     with pytest.raises(UserError, match=r"another network: a ViTPoseConfig, expected a RPNetConf"):
         load_weights(path, expected=TINY["rpnet"])
@@ -426,10 +461,30 @@ def test_a_rival_is_used_like_the_network(path, tmp_path):
     assert estimate.match_probability is None
     found = load_method(f"network={path}")(left, right, K, K, prior)
     np.testing.assert_array_equal(found.R, estimate.R)
-    np.testing.assert_array_equal(found.t, prior[:3, 3])
+    np.testing.assert_array_equal(found.t, estimate.t)
     ours = tmp_path / "ours.safetensors"
     save_weights(ours, network(), CARD)
     assert 0 < load_model(ours).estimate(left, right, K, K, prior).match_probability <= 1
+
+
+@each
+def test_t_points_where_a_rival_says_and_is_as_long_as_the_prior_s(name, tmp_path, worst):
+    left, right = np.random.default_rng(0).integers(0, 256, (2, 64, 128, 3), dtype=np.uint8)
+    K, prior = intrinsics((128, 64), 90.0), transform(np.eye(3), np.array([-0.8, 0.0, 0.0]))
+    net = rival(name).eval()
+    save_weights(tmp_path / "w.safetensors", net, CARD)
+    found = load_model(tmp_path / "w.safetensors").estimate(left, right, K, K, prior).t
+    sizing = Sizing(net.config.input_wh, CARD.fit, CARD.keep)
+    batch = collate([sized(Pair(left, right, K, K, None, prior, name="x"), sizing)])
+    t = net(batch.left, batch.right, batch.K_left, batch.K_right, batch.R_nominal,
+            batch.t_nominal).t  # fmt: skip
+    if t is None:
+        np.testing.assert_array_equal(found, prior[:3, 3])
+        return
+    t = t[0].detach().numpy()
+    assert not np.array_equal(t, prior[:3, 3])
+    worst("t along what a rival says", np.abs(np.cross(found, t)).max(), 1e-12, "m²")
+    worst("its length", abs(np.linalg.norm(found) - 0.8), 1e-12, "m")
 
 
 @pytest.mark.parametrize("name", RIVALS)

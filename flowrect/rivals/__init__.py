@@ -8,7 +8,9 @@ network.losses(prediction, R_gt, t_gt)            # weighted terms by name, as i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
+
+from torch import Tensor
 
 from flowrect.rivals.config import DirectionNetConfig, RivalConfig, RPNetConfig
 
@@ -18,6 +20,18 @@ if TYPE_CHECKING:
     from flowrect.rivals.vitpose import ViTPose
 
     Rival = RPNet | DirectionNet | ViTPose
+
+
+class PosePrediction(Protocol):
+    """What every rival says of a pair."""
+
+    @property
+    def R(self) -> Tensor:
+        """(B, 3, 3) float64"""
+
+    @property
+    def t(self) -> Tensor | None:
+        """(B, 3) float64, of any length; None if t is not predicted"""
 
 
 def build(config: RivalConfig) -> Rival:
