@@ -28,14 +28,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from flowrect.evaluation import tables
-from flowrect.evaluation.delivered import Delivered, Delivery, Translation, evenly
-from flowrect.evaluation.offsets import Look, Memory, Offsets, VerticalFlow
+from flowrect.evaluation.delivered import Delivery, Translation
 from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import write_report
-from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score, scored
+from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
+from flowrect.evaluation.scoring import Scoring, scores_of
 from flowrect.files import make_folder, read_json
-from flowrect.matchers import load_matcher
 from flowrect.methods import METHODS, TABLE, training_of
 from simgen.errors import UserError
 from simgen.shards import write_atomically
@@ -62,18 +61,19 @@ class EvaluateOptions:
     """pairs at most, evenly chosen; 0: all"""
     turn_deg: float = 0.0
     """turns the cameras of rectified real pairs by known rotations, each component within ± this"""
-    offsets: tuple[str, ...] = ("sift-paper",)
+    offsets: tuple[str, ...] = ("sift-paper", "aliked")
     """matchers that measure what is left between rectified images; aliked takes the place of the
-    paper's SuperGlue"""
-    flow_network: str = ""
-    """RAFT that measures vertical flow between rectified images, as in the paper: weights of
-    flowrect.train_flow, torchvision or torchvision-large; without this it is not measured"""
+    paper's SuperGlue, which can be asked for where its weights are. One that cannot run is left
+    out"""
+    flow_network: str = "raft"
+    """RAFT that measures vertical flow between rectified images, as in the paper: shipped weights,
+    some of flowrect.train_flow, torchvision or torchvision-large; "" for none"""
     matched_pairs: int = 86
-    """pairs, evenly chosen, for these two"""
+    """pairs, evenly chosen, for these two, which take seconds a row; 0: they are not measured"""
     time_limit_s: float = 120.0
     """that a method may take for a pair; then it is stopped, which counts as a failure"""
     jobs: int = 1
-    """processes that predict, each of which takes whole pairs"""
+    """processes that predict, and that score, each of which takes whole pairs"""
     root: Path | None = None
     """folder that the paths of a list are relative to"""
     out: Path = Path("results")
@@ -82,10 +82,14 @@ class EvaluateOptions:
 def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     """Predicts what is missing, scores everything, and writes the files."""
     _require_sensible(options)
-    looks = _looks(options)
     make_folder(options.out)
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
+    scoring = Scoring(delivery, options.translations, options.out, options.offsets,
+                      options.flow_network, options.matched_pairs, options.jobs)  # fmt: skip
+    looks, blind = scoring.looks()
+    for matcher, reason in blind.items():
+        console.print(f"[yellow]offsets by {matcher} left out:[/yellow] {reason}", soft_wrap=True)
     predictions_of(options.out, delivery.open().fingerprint)  # raises now if some are stale
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
@@ -95,7 +99,8 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
     rows = predictions_of(options.out, delivery.open().fingerprint)
     unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
-    scores = _scored(delivery.open(truth_points=None), rows, looks, options, console)
+    with _Progress(console, "scoring") as report:
+        scores = scores_of(scoring, looks, report)
     trained = {m: training_of(m) for m, _ in rows}
     _write(options, scores, unavailable, trained)
     report_path = options.out / "report.html"
@@ -111,23 +116,6 @@ def _kept(path: Path, left_out: dict[str, str], there: Collection[str]) -> dict[
     return kept
 
 
-def _scored(
-    pairs: Delivered,
-    rows: Rows,
-    looks: Sequence[Look],
-    options: EvaluateOptions,
-    console: Console,
-) -> list[Score]:
-    matched = evenly(options.matched_pairs, len(pairs))
-    scores: list[Score] = []
-    with _Progress(console, "scoring") as report:
-        of_pairs = scored(pairs, rows, options.translations, looks=looks, matched=matched)
-        for done, of_pair in enumerate(of_pairs, 1):
-            scores += of_pair
-            report(done, len(pairs))
-    return scores
-
-
 def _write(
     options: EvaluateOptions,
     scores: Sequence[Score],
@@ -137,30 +125,11 @@ def _write(
     out = options.out
     tables.write_scores(out / "scores.csv", scores)
     tables.write_summary(out / "summary.csv", scores)
-    by = f", RAFT by {options.flow_network}" if options.flow_network else ""
+    raft = options.flow_network and options.matched_pairs
+    by = f", RAFT by {options.flow_network}" if raft else ""
     title = f"Rectification at {options.size}{by}"
     text = tables.document(scores, unavailable, trained, title, options.translations)
     (out / "tables.md").write_text(text, encoding="utf-8")
-
-
-def _looks(options: EvaluateOptions) -> list[Look]:
-    """The matchers that measure what is left, and the flow network if there is one."""
-    folder, names = options.out / "offsets", options.offsets
-    if len({_column(name) for name in names}) < len(names):
-        raise UserError(
-            f"--offsets {' '.join(names)}: settings of one matcher share a column; ask for one."
-        )
-    looks: list[Look] = [
-        Offsets(_column(name), load_matcher(name), Memory(folder / f"{name}.jsonl"))
-        for name in names
-    ]
-    if options.flow_network:
-        looks.append(VerticalFlow.by(options.flow_network, folder / "flow.jsonl"))
-    return looks
-
-
-def _column(matcher: str) -> str:
-    return matcher.removesuffix("-paper")
 
 
 def _require_sensible(options: EvaluateOptions) -> None:

@@ -107,13 +107,21 @@ class Network:
         return PoseEstimate(estimate.R, estimate.t, seconds=seconds, notes=estimate.notes)
 
 
-def rival(name: str) -> Network:
-    """A rival of the paper's tables, with its shipped weights; UserError if there are none."""
+TRAINED = {
+    **{name: f"--model {name}" for name in RIVALS},
+    "small-without-flow": "--preset small --teacher none",
+}
+"""networks that are rows of the tables under the name of their shipped weights, and how
+flowrect.train makes them: the rivals, and ours without the flow loss (the paper's "w/o OF")"""
+
+
+def trained(name: str) -> Network:
+    """A network of ``TRAINED``, with its shipped weights; UserError if there are none."""
     if (SHIPPED / f"{name}.safetensors").is_file():
         return Network(_load_model(name))
     raise UserError(
         f"method {name!r}: no weights of it are shipped. Train them (python -m flowrect.train "
-        f"--model {name} --data shards --out runs/{name}) and ask for "
+        f"{TRAINED[name]} --data shards --out runs/{name}) and ask for "
         f"network=runs/{name}/best.safetensors."
     )
 
@@ -186,21 +194,22 @@ def _with_network(name: str) -> Method:
 METHODS: dict[str, Callable[[], Method]] = {
     "unrectified": lambda: unrectified,
     **{name: partial(_with_network, name) for name in ("network", "network+3dof", "network+5dof")},
-    **{name: partial(rival, name) for name in RIVALS},
+    **{name: partial(trained, name) for name in TRAINED},
     **{f"{m}+{s}": partial(FromMatches, m, SOLVERS[s]) for m in MATCHERS for s in SOLVERS},
 }
 """made when they are asked for: some take weights"""
 
+_POINTS = tuple(m for m in LEARNED if m != "raft")
+_ROBUST = ("loransac-paper", "magsac-paper", "loransac", "magsac", "5dof")
 TABLE = (
-    *(f"sift{at}+{s}{at}" for at in ("-paper", "") for s in ("loransac", "usac", "magsac")),
-    "sift+5dof",
-    *(f"{m}+{s}" for m in LEARNED if m != "raft" for s in ("loransac", "magsac", "5dof")),
-    "dis+5dof",
-    "raft+5dof",
-    *RIVALS,
+    *(f"sift-paper+{s}-paper" for s in ("loransac", "usac", "magsac")),
+    *(f"sift+{s}" for s in ("loransac", "usac", "magsac", "3dof", "5dof")),
+    *(f"{m}+{s}" for m in _POINTS for s in _ROBUST),
+    *(f"{m}+{s}" for m in ("dis", "raft") for s in ("3dof", "5dof")),
+    *TRAINED,
     "network",
     "network+5dof",
-)  # fmt: skip
+)
 """the rows of the paper's tables, and ours"""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 import shutil
 import subprocess
@@ -35,6 +36,7 @@ from flowrect.evaluation.predictions import Origin
 from flowrect.evaluation.scores import Score, scored
 from flowrect.evaluation.tables import document, main_table
 from flowrect.formats import opencv
+from flowrect.matchers import MATCHERS
 from flowrect.matches import Matches
 from flowrect.methods import METHODS, TABLE, Network, PoseEstimate, load_method, training_of
 from flowrect.rectify import write_rgb
@@ -72,7 +74,8 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def scores(wall: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Score]:
     out = tmp_path_factory.mktemp("results")
     options = EvaluateOptions(wall, ("sift+5dof", "dis+5dof"), size="256x128", turn_deg=1.0,
-                              translations=("nominal",), matched_pairs=1, out=out)  # fmt: skip
+                              translations=("nominal",), offsets=("sift-paper",), flow_network="",
+                              matched_pairs=1, out=out)  # fmt: skip
     return evaluate(options, QUIET)
 
 
@@ -80,7 +83,7 @@ def scores(wall: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Score]:
 def known(data: Path) -> tuple[Delivered, list[list[Score]]]:
     """All pairs of the set, and what is known of them without any method."""
     pairs = delivery(data).open(None)
-    return pairs, list(scored(pairs, {}, ("gt",), looks=(), matched=()))
+    return pairs, [scored(pairs, {}, ("gt",), i, ()) for i in range(len(pairs))]
 
 
 def of(scores: list[Score], method: str, figure: str) -> Array:
@@ -125,7 +128,7 @@ def test_a_wrong_translation_leaves_vertical_flow_even_to_the_true_rotation(data
     t_nominal = prior(pairs[0].input, "nominal")[:3, 3]
     row = predictions.Prediction(0, "", PoseEstimate(T[:3, :3], t_nominal))
     rows = {("m", t): {0: row} for t in ("gt", "nominal")}
-    of_pair = next(scored(pairs, rows, ("gt", "nominal"), looks=(), matched=()))
+    of_pair = scored(pairs, rows, ("gt", "nominal"), 0, ())
     given, own, truth = (
         next(s.figures for s in of_pair if (s.method, s.translation) == key)
         for key in (("m", "gt"), ("m", "nominal"), ("truth", "nominal"))
@@ -209,7 +212,7 @@ def test_flow_sees_the_pair_as_each_method_rectifies_it(data, tmp_path):
     T = pairs[0].input.T_right_left
     rows = {("m", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))}}
     looks = [VerticalFlow(flow, "", Memory(tmp_path / "flow.jsonl"))]
-    of_pair = next(scored(pairs, rows, ("gt",), looks=looks, matched=(0,)))
+    of_pair = scored(pairs, rows, ("gt",), 0, looks)
     of = {s.method: s.figures for s in of_pair}
     assert of["m"][FLOW] == of["truth"][FLOW] > 0.01
     assert of["m"][FLOW_VALID] == 0
@@ -227,7 +230,7 @@ def test_flow_sees_the_pair_as_each_method_rectifies_it(data, tmp_path):
 def test_a_failure_is_scored_with_the_prior_and_counted(data):
     pairs = delivery(data).open(None)
     row = predictions.Prediction(0, pairs[0].input.name, None, "found nothing")
-    of_pair = next(scored(pairs, {("m", "gt"): {0: row}}, ("gt",), looks=(), matched=()))
+    of_pair = scored(pairs, {("m", "gt"): {0: row}}, ("gt",), 0, ())
     by_name = {s.method: s for s in of_pair}
     assert by_name["m"].failure == "found nothing"
     failed, left_over = (by_name[m].figures["geodesic_deg"] for m in ("m", "unrectified"))
@@ -356,8 +359,7 @@ def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):
     pairs = replace(delivery(data), limit=2).open(None)
     T = pairs[0].input.T_right_left
     half = {("half", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))}}
-    found = [s for of_pair in scored(pairs, half, ("gt",), looks=(), matched=())
-             for s in of_pair]  # fmt: skip
+    found = [s for i in (0, 1) for s in scored(pairs, half, ("gt",), i, ())]
     mark = f"half (1 of {len(pairs)} pairs)"
     text = document(found, {}, {"half": "96×48"}, "", ("gt",))
     assert text.count(f"| {mark} |") == 3  # the table, by weather and by daylight
@@ -445,7 +447,7 @@ def test_a_wild_pose_is_a_failure_and_betters_no_mean(data):
     wild = predictions.Prediction(0, "", PoseEstimate(turn, np.array([-0.8, 0, 0])))
     none = predictions.Prediction(0, "", None, "found nothing")
     rows = {("m", "gt"): {0: wild}, ("none", "gt"): {0: none}}
-    by_name = {s.method: s for s in next(scored(pairs, rows, ("gt",), looks=(), matched=()))}
+    by_name = {s.method: s for s in scored(pairs, rows, ("gt",), 0, ())}
     assert by_name["m"].failure == "its rectified images have nothing in common"
     figures, left_over = by_name["m"].figures, by_name["none"].figures
     assert figures["geodesic_deg"] > 140
@@ -460,7 +462,7 @@ def test_a_wild_pose_of_a_real_pair_is_a_failure_too(wall):
     wild = predictions.Prediction(0, "", PoseEstimate(turn, np.array([-0.4, 0, 0])))
     none = predictions.Prediction(0, "", None, "found nothing")
     rows = {("m", "gt"): {0: wild}, ("none", "gt"): {0: none}}
-    by_name = {s.method: s for s in next(scored(pairs, rows, ("gt",), looks=(), matched=()))}
+    by_name = {s.method: s for s in scored(pairs, rows, ("gt",), 0, ())}
     assert by_name["m"].failure == "its rectified images have nothing in common"
     assert by_name["m"].figures["mae_valid"] == by_name["none"].figures["mae_valid"] > 0
     assert by_name["unrectified"].failure == by_name["truth"].failure == ""
@@ -509,8 +511,7 @@ def test_failures_are_drawn_hollow_at_their_matches_and_the_prior_s_error(data):
     rows = {("m", "nominal"): {0: predictions.Prediction(0, "", right),
                                1: predictions.Prediction(1, "", None, "too few", 9),
                                2: predictions.Prediction(2, "", None, "raised")}}  # fmt: skip
-    found = [s for of_pair in scored(pairs, rows, ("nominal",), looks=(), matched=())
-             for s in of_pair]  # fmt: skip
+    found = [s for i in range(len(pairs)) for s in scored(pairs, rows, ("nominal",), i, ())]
     lines = report._by_matches({"m": [s for s in found if s.method == "m"]}, pairs).axes[0].lines
     full, hollow, _ = lines
     assert (full.get_fillstyle(), list(full.get_xdata())) == ("full", [90])
@@ -524,7 +525,7 @@ def test_overlays_show_the_truth_and_the_prior_where_a_method_failed(data):
     T = pairs[0].input.T_right_left
     rows = {("m", "gt"): {0: predictions.Prediction(0, "", PoseEstimate(T[:3, :3], T[:3, 3]))},
             ("failing", "gt"): {0: predictions.Prediction(0, "", None, "too few")}}  # fmt: skip
-    of_pair = next(scored(pairs, rows, ("gt",), looks=(), matched=()))
+    of_pair = scored(pairs, rows, ("gt",), 0, ())
     pair = pairs[0].metric
     poses = {s.method: report._pose(s, rows, pair) for s in of_pair}
     assert list(poses) == ["unrectified", "m", "failing", "truth"]
@@ -551,9 +552,39 @@ def test_stale_predictions_are_refused_before_anything_is_predicted(data, tmp_pa
     assert "predictions of other settings, weights or another version" in capsys.readouterr().err
 
 
+def test_two_processes_score_as_one_does(wall, scores, tmp_path, worst):
+    """Whatever they look at, with what was predicted in two processes as well."""
+    options = EvaluateOptions(wall, ("sift+5dof", "dis+5dof"), size="256x128", turn_deg=1.0,
+                              translations=("nominal",), offsets=("sift-paper",), flow_network="",
+                              matched_pairs=1, jobs=2, out=tmp_path)  # fmt: skip
+    found = evaluate(options, QUIET)
+    assert [(s.method, s.index, s.failure) for s in found] == [
+        (s.method, s.index, s.failure) for s in scores
+    ]
+    for a, b in zip(found, scores, strict=True):
+        assert a.figures.keys() == b.figures.keys()
+        known = [n for n in a.figures if not np.isnan(b.figures[n])]
+        worst("figures of two processes", [a.figures[n] - b.figures[n] for n in known], 1e-9, "-")
+
+
+def test_offsets_by_what_cannot_run_are_left_out_and_said(wall, tmp_path, monkeypatch):
+    def absent() -> None:
+        raise UserError("it needs weights.")
+
+    monkeypatch.setitem(MATCHERS, "aliked", absent)
+    options = EvaluateOptions(wall, ("sift+5dof",), size="256x128", turn_deg=1.0, limit=1,
+                              translations=("nominal",), flow_network="", out=tmp_path)  # fmt: skip
+    said = io.StringIO()
+    found = evaluate(options, Console(file=said, width=200))
+    assert "offsets by aliked left out: it needs weights." in said.getvalue()
+    assert {n for n in found[0].figures if "offset" in n} == {
+        "sift_offset_px", "sift_offset_median_px",
+    }  # fmt: skip
+
+
 def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
     out = tmp_path / "a" / "b"
-    arguments = ["--data", str(data), "--methods", "rpnet", "--size", "96x48",
+    arguments = ["--data", str(data), "--methods", "loftr+5dof", "--size", "96x48",
                  "--split", "all", "--matched-pairs", "0", "--translations", "gt", "--limit", "1",
                  "--out", str(out)]  # fmt: skip
     assert main(arguments) == 0
@@ -563,13 +594,13 @@ def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
 def test_rows_of_earlier_calls_stay_in_the_tables(data, tmp_path):
     save_weights(tmp_path / "w.safetensors", network(TINY_PAPER), Card(preset="custom", hours=1.5))
     trained = f"network={tmp_path / 'w.safetensors'}"
-    for methods in (["rpnet", trained], ["sift+5dof"]):
+    for methods in (["loftr+5dof", trained], ["sift+5dof"]):
         arguments = ["--data", str(data), "--methods", *methods, "--size", "96x48", "--limit", "1",
                      "--split", "all", "--matched-pairs", "0", "--translations", "gt",
                      "--out", str(tmp_path)]  # fmt: skip
         assert main(arguments) == 0
     text = (tmp_path / "tables.md").read_text()
-    assert "| rpnet | no weights" in text
+    assert "| loftr+5dof | no weights" in text
     assert f"| {trained} | {TINY_PAPER.input_wh[0]}×{TINY_PAPER.input_wh[1]}, 1.5 h |" in text
 
 
@@ -608,8 +639,9 @@ def test_the_default_is_the_whole_table():
     assert methods == TABLE
     assert set(TABLE) <= set(METHODS)
     for row in ("sift-paper+loransac-paper", "sift+usac", "sift-paper+usac-paper",
-                "superglue+magsac", "aliked+5dof", "raft+5dof", "rpnet",
-                "directionnet", "vitpose", "network+5dof"):  # fmt: skip
+                "superglue+magsac", "aliked+magsac-paper", "aliked+5dof", "dis+3dof", "raft+5dof",
+                "rpnet", "directionnet", "vitpose", "small-without-flow",
+                "network+5dof"):  # fmt: skip
         assert row in methods
 
 
@@ -651,7 +683,8 @@ def test_a_limit_is_spread_over_the_set(data):
 )
 def test_what_cannot_be_evaluated_is_said(more, message, data, tmp_path, capsys):
     methods = [] if "--methods" in more else ["--methods", "sift+5dof"]
-    arguments = ["--data", str(data), "--split", "all", "--out", str(tmp_path), *methods, *more]
+    arguments = ["--data", str(data), "--split", "all", "--out", str(tmp_path), *methods,
+                 *([] if "--offsets" in more else ["--offsets", "sift"]), *more]  # fmt: skip
     assert main(arguments) == 2
     assert re.search(message, capsys.readouterr().err)
 

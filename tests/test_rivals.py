@@ -15,12 +15,12 @@ from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
 from tiny_network import network, pairs, road_set, rotations
 
-from flowrect import export_onnx, halve_weights, train
+from flowrect import export_onnx, halve_weights, methods, train
 from flowrect.config import RIVAL_TRAINING
 from flowrect.estimate import load_model
 from flowrect.geometry import geodesic_rad
 from flowrect.loading import Loading
-from flowrect.methods import METHODS, load_method
+from flowrect.methods import load_method
 from flowrect.resize import Sizing, sized
 from flowrect.rivals import build
 from flowrect.rivals.config import RIVALS, DirectionNetConfig, RPNetConfig, ViTPoseConfig
@@ -487,10 +487,11 @@ def test_t_points_where_a_rival_says_and_is_as_long_as_the_prior_s(name, tmp_pat
     worst("its length", abs(np.linalg.norm(found) - 0.8), 1e-12, "m")
 
 
-@pytest.mark.parametrize("name", RIVALS)
-def test_a_rival_without_weights_says_how_to_train_it(name):
-    assert name in METHODS
-    with pytest.raises(UserError, match=rf"python -m flowrect\.train --model {name} --data"):
+@pytest.mark.parametrize("name", [*RIVALS, "small-without-flow"])
+def test_a_row_without_weights_says_how_to_train_it(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(methods, "SHIPPED", tmp_path)
+    asked = f"--model {name}" if name in RIVALS else "--preset small --teacher none"
+    with pytest.raises(UserError, match=rf"python -m flowrect\.train {asked} --data"):
         load_method(name)
 
 

@@ -165,11 +165,11 @@ def _predicted(
                 running[future] = i, file, lane
                 return
 
-    context = _fork_server()
+    context = fork_server()
     with ExitStack() as stack:
         for _ in range(run.jobs):
             pool = stack.enter_context(ProcessPool(max_workers=1, context=context))
-            stack.push(partial(_stop_if_interrupted, pool))
+            stack.push(partial(stop_if_interrupted, pool))
             go_on(_Lane(pool))
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -182,13 +182,13 @@ def _predicted(
                 go_on(lane)
 
 
-def _stop_if_interrupted(pool: ProcessPool, error: object, *_: object) -> None:
+def stop_if_interrupted(pool: ProcessPool, error: object, *_: object) -> None:
     """A pool that is left by an error would wait for its task, however long that takes."""
     if error is not None:
         pool.stop()
 
 
-def _fork_server() -> BaseContext:
+def fork_server() -> BaseContext:
     """Processes begin with all modules loaded: one that follows a stopped one begins at once.
 
     The server computes nothing: it has neither a GPU nor threads in use when it forks.

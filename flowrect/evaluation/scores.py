@@ -7,7 +7,7 @@ pixels, and takes the prior's, but its angles stay its own. Rectified images are
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,43 +67,31 @@ Rows = Mapping[tuple[str, str], Mapping[int, Prediction]]
 
 
 def scored(
-    pairs: Delivered,
-    rows: Rows,
-    translations: Sequence[Translation],
-    *,
-    looks: Sequence[Look],
-    matched: Sequence[int],
-) -> Iterator[list[Score]]:
-    """Scores of all methods, pair by pair.
-
-    Args:
-      looks: they measure what is left between rectified images.
-      matched: indices of the pairs for which they do.
-    """
-    for i in range(len(pairs)):
-        prepared = pairs[i]
-        pair, truth = prepared.input, _Truth.of(prepared)
-        look = looks if i in set(matched) else ()
-        found = []
-        for translation in translations:
-            start = prior(pair, translation)
-            nominal = PoseEstimate(start[:3, :3], start[:3, 3])
-            assert pair.T_right_left is not None
-            exact = PoseEstimate(pair.T_right_left[:3, :3], pair.T_right_left[:3, 3])
-            own = {UNRECTIFIED: Prediction(i, pair.name, nominal),
-                   TRUTH: Prediction(i, pair.name, exact)}  # fmt: skip
-            for method in [UNRECTIFIED, *_methods(rows, translation), TRUTH]:
-                row = own.get(method) or rows[method, translation].get(i)
-                if row is None:
-                    continue
-                figures, failure = _scored(truth, row, nominal, translation, look)
-                known = row.known
-                found.append(Score(
-                    method, translation, i, pair.name, pair.scene, pair.weather, pair.daylight,
-                    figures, failure, "; ".join(known.notes), known.num_matches, known.seconds,
-                    row.made_on,
-                ))  # fmt: skip
-        yield found
+    pairs: Delivered, rows: Rows, translations: Sequence[Translation], i: int, looks: Sequence[Look]
+) -> list[Score]:
+    """Scores of all methods on pair ``i``; ``looks`` measure what is left once it is rectified."""
+    prepared = pairs[i]
+    pair, truth = prepared.input, _Truth.of(prepared)
+    found = []
+    for translation in translations:
+        start = prior(pair, translation)
+        nominal = PoseEstimate(start[:3, :3], start[:3, 3])
+        assert pair.T_right_left is not None
+        exact = PoseEstimate(pair.T_right_left[:3, :3], pair.T_right_left[:3, 3])
+        own = {UNRECTIFIED: Prediction(i, pair.name, nominal),
+               TRUTH: Prediction(i, pair.name, exact)}  # fmt: skip
+        for method in [UNRECTIFIED, *_methods(rows, translation), TRUTH]:
+            row = own.get(method) or rows[method, translation].get(i)
+            if row is None:
+                continue
+            figures, failure = _scored(truth, row, nominal, translation, looks)
+            known = row.known
+            found.append(Score(
+                method, translation, i, pair.name, pair.scene, pair.weather, pair.daylight,
+                figures, failure, "; ".join(known.notes), known.num_matches, known.seconds,
+                row.made_on,
+            ))  # fmt: skip
+    return found
 
 
 @dataclass(frozen=True)

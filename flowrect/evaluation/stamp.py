@@ -12,8 +12,7 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from flowrect.methods import network_of
-from flowrect.rivals.config import RIVALS
+from flowrect.methods import TRAINED, network_of
 from flowrect.weights import SHIPPED, find_weights
 
 _PACKAGE = Path(__file__).parents[1]
@@ -42,7 +41,7 @@ def weights_of(name: str) -> list[Path]:
         return [find_weights(network_of(name)[0])]
     network = name.partition("+")[0]
     path = SHIPPED / f"{network}.safetensors"
-    return [path] if network in (*RIVALS, "raft") and path.is_file() else []
+    return [path] if network in (*TRAINED, "raft") and path.is_file() else []
 
 
 def _sources(names: Iterable[str]) -> list[Path]:
