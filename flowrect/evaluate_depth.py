@@ -168,7 +168,19 @@ def _matched_by_all(
         tallies[name].failed += own is None
         found[name] = match(*own) if own else left_over
     found[TRUTH] = match(*rectified_by(T[:3, :3], T[:3, 3], pair))
+    _require_sign(found[TRUTH], pair, stereo)
     return found
+
+
+def _require_sign(truly_rectified: MatchedPair, pair: Pair, stereo: str) -> None:
+    """Raises if a matcher counts disparity the other way; a wrong pose may well turn its sign."""
+    known = truly_rectified.disparity[np.isfinite(truly_rectified.disparity)]
+    if known.size and np.median(known) < 0:
+        raise UserError(
+            f"{stereo}: {pair.name} is rectified by its true pose, and most of its disparities are "
+            f"negative (median {np.median(known):.1f} px), expected u_left − u_right ≥ 0. Networks "
+            "that give the x of the flow are to be exported with the sign changed."
+        )
 
 
 def _by_prediction(

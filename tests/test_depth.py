@@ -277,7 +277,6 @@ def test_an_onnx_file_answers_what_its_operators_say(tmp_path, monkeypatch, wors
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"weight": -random_weight()}, "most of its disparities are negative"),
         ({"weight": random_weight(2)}, r"its first output is \(1, 2, 64, 64\), expected"),
         (
             {"weight": random_weight(), "hw": (32, 96)},
@@ -285,7 +284,7 @@ def test_an_onnx_file_answers_what_its_operators_say(tmp_path, monkeypatch, wors
         ),
         ({"weight": random_weight(1, 9), "inputs": 3}, "expected two of float32"),
     ],
-    ids=["sign", "channels", "size", "inputs"],
+    ids=["channels", "size", "inputs"],
 )
 def test_an_onnx_file_that_breaks_the_contract_is_refused(changes, message, tmp_path):
     path = onnx_file(tmp_path / "tiny.onnx", **changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from functools import partial
 from pathlib import Path
 
@@ -124,6 +125,25 @@ def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
     for name in names:
         assert "hitnet: no weights" in (folder / name).with_suffix(".html").read_text("utf-8")
     assert main([*given, "--stereo", "hitnet"]) == 2
+
+
+def test_negative_disparities_of_a_wrong_pose_are_answers_and_of_the_true_one_refused(
+    given, tmp_path, monkeypatch, capsys
+):
+    """Pose after pose, the unrectified pair first and the true one last."""
+    signs: list[float] = []
+
+    def match(*_: object) -> np.ndarray:
+        return np.full(METRIC_WH[::-1], signs.pop(0), np.float32)
+
+    monkeypatch.setitem(STEREO, "turned", lambda *_: match)
+    given += ["--stereo", "turned", "--pairs", "1"]
+    signs[:] = [-3.0, -3.0, -3.0, 3.0]  # unrectified, right, begun, truth: the others have no pose
+    assert main(given) == 0
+    signs[:] = [3.0, 3.0, 3.0, -3.0]
+    assert main(given) == 2
+    assert re.search(r"turned: .* true pose, and most .* negative \(median -3.0 px\)",
+                     capsys.readouterr().err)  # fmt: skip
 
 
 def test_depth_without_predictions_or_matcher_is_refused(given, tmp_path, capsys):

@@ -69,13 +69,6 @@ class OnnxStereo:
                 "disparity of every left pixel. Export it with that as the first output."
             )
         disparity: NDArray[np.float32] = found.reshape(size).astype(np.float32)
-        known = disparity[np.isfinite(disparity)]
-        if known.size and np.median(known) < 0:
-            raise UserError(
-                f"{self.name}: most of its disparities are negative (median "
-                f"{np.median(known):.1f} px), expected u_left − u_right ≥ 0. Networks that "
-                "give the x of the flow are to be exported with the sign changed."
-            )
         return disparity
 
 
