@@ -126,6 +126,43 @@ def test_shuffled_matches_and_too_few_have_no_solution(solver):
         SOLVERS[solver](shuffled, K_LEFT, K_RIGHT, NOMINAL)
 
 
+def _along(x: Array, y: Array, z: float) -> Matches:
+    """Of points of the left camera, three tenths of a pixel off."""
+    points, rng = np.column_stack([x, y, np.full(len(x), z)]), np.random.default_rng(1)
+    ends = project(K_LEFT, points), project(K_RIGHT, points @ TRUE[:3, :3].T + TRUE[:3, 3])
+    return Matches(*(uv + rng.normal(0, 0.3, uv.shape) for uv in ends))
+
+
+SPREAD, ZERO = np.linspace(-3, 3, 400), np.zeros(400)
+ANYWHERE = np.random.default_rng(0).uniform(-1, 1, (2, 400))
+DEGENERATE = {
+    "one match": lambda: seen(TRUE).subset(np.zeros(400, int)),
+    "a line": lambda: _along(SPREAD, ZERO, 10),
+    "a pole": lambda: _along(ZERO + 2, SPREAD, 10),
+    "a plane": lambda: _along(8 * ANYWHERE[0], 4 * ANYWHERE[1], 10),
+    "infinity": lambda: _along(9e5 * ANYWHERE[0], 4.5e5 * ANYWHERE[1], 1e6),
+}
+NONE, EITHER = {"one match", "a line"}, {"a pole", "a plane", "infinity"}
+"""no solver has a solution; one of essential matrices, which want points in space, may have"""
+
+
+@pytest.mark.parametrize("solver", ALL)
+@pytest.mark.parametrize("kind", DEGENERATE)
+def test_degenerate_geometry_has_no_solution_or_one_that_is_as_good_as_it_says(kind, solver):
+    prior = transform(np.eye(3), TRUE[:3, 3]) if solver == "3dof" else NOMINAL
+    try:
+        found = SOLVERS[solver](DEGENERATE[kind](), K_LEFT, K_RIGHT, prior)
+    except NoSolution:
+        assert kind in NONE or (kind in EITHER and solver not in ("3dof", "5dof"))
+        return
+    assert kind not in NONE
+    error_deg = np.abs(turn_deg(found.R, TRUE))
+    if found.covariance is None:
+        assert np.linalg.norm(error_deg) < 0.1
+    else:
+        assert (error_deg < 4 * np.rad2deg(np.sqrt(np.diag(found.covariance)))[:3]).all()
+
+
 @pytest.mark.parametrize("solver", ALL)
 def test_points_far_away_tell_on_which_side_the_right_camera_stands(solver):
     """Beyond 50 baselines, where OpenCV stops counting by itself."""

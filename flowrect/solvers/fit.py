@@ -31,6 +31,8 @@ MIN_SHARE = 0.2
 """of supporting matches among all"""
 MAX_TURN_DEG = 10.0
 """of a pose against the prior"""
+MAX_DIRECTION_DEG = 20.0
+"""of t against the prior's; more, since points that are far away or on a plane hardly tell it"""
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,14 @@ def require_support(
         raise NoSolution(
             f"the best pose is {turn_deg:.0f}° away from the prior, expected at most "
             f"{MAX_TURN_DEG:g}°: wrong matches, or a prior that is far off."
+        )
+    lengths = np.linalg.norm(solution.t) * np.linalg.norm(prior[:3, 3])
+    away_deg = np.rad2deg(np.arccos(np.clip(solution.t @ prior[:3, 3] / lengths, -1, 1)))
+    if away_deg > MAX_DIRECTION_DEG:
+        raise NoSolution(
+            f"the right camera of the best pose lies {away_deg:.0f}° away from where the prior has "
+            f"it, expected at most {MAX_DIRECTION_DEG:g}°: wrong matches, or a scene that does not "
+            "tell, such as a plane or points that are all far away."
         )
 
 
