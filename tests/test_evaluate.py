@@ -368,7 +368,7 @@ def test_a_method_that_has_not_seen_all_pairs_says_so_in_every_table(data):
     assert mark in command.shown(found, "gt").columns[0]._cells
 
 
-def test_fog_rain_and_night_have_the_whole_table_of_their_own(scores):
+def test_hard_and_easy_pairs_have_the_whole_table_of_their_own(scores):
     foggy = [replace(s, weather="fog" if s.index else "clear") for s in scores]
     text = document(foggy, {}, {}, "", ("nominal",))
     whole, part = (
@@ -378,6 +378,9 @@ def test_fog_rain_and_night_have_the_whole_table_of_their_own(scores):
     assert len(part.splitlines()) == len(whole.splitlines())
     assert part != whole
     assert "rain alone" not in text
+    assert "### clear and not night alone, 1 pairs" in text
+    dark = [replace(s, daylight="night") for s in foggy]
+    assert "clear and not night" not in document(dark, {}, {}, "", ("nominal",))
 
 
 def test_offsets_name_their_pairs_and_count_those_without_a_match(scores):

@@ -244,8 +244,13 @@ STRATA: dict[str, Callable[[Score], str]] = {
 }
 
 
-HARD = (("weather", "fog"), ("weather", "rain"), ("daylight", "night"))
-"""strata that have the whole table of their own"""
+ALONE: dict[str, Callable[[Score], bool]] = {
+    "fog": lambda s: s.weather == "fog",
+    "rain": lambda s: s.weather == "rain",
+    "night": lambda s: s.daylight == "night",
+    "clear and not night": lambda s: s.weather == "clear" and s.daylight != "night",
+}
+"""strata that have the whole table of their own: the hard ones, and the easy one"""
 
 
 def stratum_table(scores: Sequence[Score], translation: str, by: str) -> str:
@@ -298,8 +303,8 @@ def document(
                 f"### by {by}: median vertical flow [px] / median geodesic error [°] (failures)\n",
                 stratum_table(scores, translation, by),
             ]
-        for by, name in HARD:
-            if part := [s for s in scores if STRATA[by](s) == name]:
+        for name, belongs in ALONE.items():
+            if part := [s for s in scores if belongs(s)]:
                 alone = main_table(part, translation, {}, trained, figure_names(scores))
                 parts += [f"### {name} alone, {len(pairs_of(part))} pairs\n", alone]
     parts += ["## Seconds\n", f"{seconds.NOTE}\n", markdown(seconds.HEAD, seconds.rows(scores))]
