@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import ablation
 import data_loading
 import flow_metric
+import match_probability
 import method_time
 import numpy as np
 import paper_step
@@ -30,6 +32,7 @@ from flowrect.sample import Batch
 from flowrect.solvers import NoSolution
 from flowrect.sources import open_source
 from flowrect.train_flow import Views, error_sizes
+from flowrect.weights import Card, load_weights, save_weights
 from simgen.errors import UserError
 
 WH = (48, 32)
@@ -227,3 +230,34 @@ def test_contents_of_frames_are_counted(tmp_path: Path, capsys) -> None:
     assert "| partly_cloudy | 2 | 1 |" in said
     beyond = 36 / (HW[0] * HW[1]), 12 / (HW[0] * HW[1])
     assert f"{beyond[0]:.1%} beyond 100 m, {beyond[1]:.1%} beyond 300 m, 50% sky" in said
+
+
+# --- match_probability ----------------------------------------------------------------------------
+
+
+def test_images_are_mixed_with_those_of_another_scene():
+    assert match_probability.partners(["a", "a", "b", "b", "b", "c"]) == [2, 2, 5, 5, 5, 0]
+    with pytest.raises(UserError, match="all pairs are of one scene"):
+        match_probability.partners(["a", "a"])
+
+
+def test_a_threshold_lies_between_what_it_parts():
+    true, mixed = np.array([0.4, 0.3]), np.array([0.1, 0.2])
+    assert match_probability.threshold(true, mixed) == pytest.approx(0.25)
+    assert match_probability.threshold(mixed, true) is None
+
+
+def test_the_threshold_is_written_into_the_card(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "w.safetensors"
+    save_weights(path, network(), Card(preset="small", samples=7))
+    found = np.array([0.4, 0.3]), np.array([0.1, 0.2])
+    monkeypatch.setattr(match_probability, "probabilities", lambda *_: found)
+    options = match_probability.Options(tmp_path, str(path), write=True)
+    monkeypatch.setattr(match_probability, "Delivery",
+                        lambda *_: SimpleNamespace(open=list))  # fmt: skip
+    match_probability.main(options)
+    assert "threshold 0.250" in capsys.readouterr().out
+    net, card = load_weights(path)
+    assert card == Card(preset="small", samples=7, least_match_probability=0.25)
+    assert all(torch.equal(a, b) for a, b in zip(net.parameters(), network().parameters(),
+                                                 strict=True))  # fmt: skip
