@@ -27,11 +27,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from flowrect.evaluation import tables
+from flowrect.evaluation import one_page, tables
 from flowrect.evaluation.delivered import Delivery, Translation
 from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
-from flowrect.evaluation.report import write_report
+from flowrect.evaluation.report import report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
 from flowrect.evaluation.scoring import Scoring, scores_of
 from flowrect.files import make_folder, read_json
@@ -93,18 +93,18 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     predictions_of(options.out, delivery.open().fingerprint)  # raises now if some are stale
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
-    with _Progress(console, "predicting") as report:
-        left_out = predict(run, report)
+    with _Progress(console, "predicting") as progress:
+        left_out = predict(run, progress)
     for method, reason in left_out.items():
         console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
     rows = predictions_of(options.out, delivery.open().fingerprint)
     unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
-    with _Progress(console, "scoring") as report:
-        scores = scores_of(scoring, looks, report)
+    with _Progress(console, "scoring") as progress:
+        scores = scores_of(scoring, looks, progress)
     trained = {m: training_of(m) for m, _ in rows}
     _write(options, scores, unavailable, trained)
-    report_path = options.out / "report.html"
-    write_report(report_path, scores, rows, delivery.open(), unavailable, trained)
+    sections = report(scores, rows, delivery.open(), unavailable, trained)
+    one_page.put(options.out, one_page.FIRST, sections)
     return scores
 
 

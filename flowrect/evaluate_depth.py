@@ -5,7 +5,8 @@ its left pixels compared with the truth. The poses are those that ``flowrect.eva
 to RESULTS; a pair for which a method failed is rectified by the prior, and counted; one that it has
 not predicted is in none of its figures. All rectifications of a pair share the K_new of its nominal
 rig, and the length of its nominal baseline, which images do not tell. Rectified images are 512×256,
-as in every report. Each stereo matcher and t have a table and a page, depth.STEREO.T.csv and .html.
+as in every report. Each stereo matcher and t have a table, depth.STEREO.T.csv, and their part of
+RESULTS/report.html.
 """
 
 from __future__ import annotations
@@ -31,13 +32,14 @@ from flowrect.depth.frame import DepthFrame, depth_frame
 from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, RangeError, matched
 from flowrect.drectify import Rectification, rectify
 from flowrect.evaluate import wh_of
+from flowrect.evaluation import one_page
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior
 from flowrect.evaluation.depth_report import (
     Counts,
     Picture,
     Ranges,
+    depth_report,
     depth_rows,
-    write_depth_report,
 )
 from flowrect.evaluation.predictions import Prediction, file_name, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
@@ -58,7 +60,7 @@ class DepthOptions:
     data: Path
     """a set of simgen, as it was given to flowrect.evaluate"""
     results: Path = Path("results")
-    """folder of flowrect.evaluate: all methods in it are taken, and tables and pages are written
+    """folder of flowrect.evaluate: all methods in it are taken, and tables and the page are written
     to it"""
     translation: Translation = "nominal"
     """which of the predictions"""
@@ -275,16 +277,16 @@ def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> No
     """Measures by one stereo matcher, and writes and shows it."""
     tallies = evaluate(options, stereo)
     ranges, counts = by_range(tallies), {name: tally.counts for name, tally in tallies.items()}
-    path = options.results / f"depth.{file_name(stereo)}.{options.translation}"
-    write_csv(path.with_name(path.name + ".csv"), ranges, counts)
+    name = f"depth.{file_name(stereo)}.{options.translation}"
+    write_csv(options.results / f"{name}.csv", ranges, counts)
     title = f"{stereo}, {counts[TRUTH].pairs} pairs, t = {options.translation}"
     pictures = [t.pictures[i] for i in tallies[TRUTH].pictures for t in tallies.values()
                 if i in t.pictures]  # fmt: skip
-    report = path.with_name(path.name + ".html")
-    write_depth_report(report, title, ranges, counts, pictures, lacking)
+    sections = depth_report(stereo, title, ranges, counts, pictures, lacking)
+    path = one_page.put(options.results, name, sections)
     title += ": MAE / median in m of pixels that all answered; own answers"
     Console(width=200).print(table(ranges, counts, title))
-    print(f"{report}: the same as curves, with pictures")
+    print(f"{path}: the same as curves, with pictures")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,6 +15,7 @@ from tiny_network import road_set
 from flowrect.depth import STEREO
 from flowrect.depth_error import DepthSamples
 from flowrect.evaluate_depth import Tally, by_range, main, matched_by, rectified_by
+from flowrect.evaluation import one_page
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.depth_report import depth_rows
 from flowrect.evaluation.predictions import Origin, Prediction, file_name, write
@@ -82,11 +83,20 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
         assert column["failing"] == column["wild"] == column[UNRECTIFIED]
         assert column["right"] == column[TRUTH]
     assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
-    page = (tmp_path / "results" / "depth.sgbm.nominal.html").read_text(encoding="utf-8")
+    page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")
     shown = 3 * len(of) + 1  # three pairs, one of them also by the method that has begun
     assert page.count("data:image/jpeg") == 2 * shown  # an overlay and depth
     assert page.count("<svg") == 2
     assert "failing (3 failed)" in page
+
+
+def test_commands_share_one_page_and_each_replaces_its_own_part(tmp_path):
+    one_page.put(tmp_path, "depth.sgbm.gt", ["<p>depth</p>"])
+    one_page.put(tmp_path, one_page.FIRST, ["<p>old</p>"])
+    page = one_page.put(tmp_path, one_page.FIRST, ["<p>a</p>", "<p>b</p>"]).read_text("utf-8")
+    assert "<p>a</p><p>b</p><p>depth</p>" in page
+    assert "old" not in page
+    assert page.count("<html") == 1
 
 
 def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none():
@@ -123,7 +133,9 @@ def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
     names = {path.name for path in folder.glob("depth.*.csv")}
     assert names == {"depth.far.nominal.csv", f"depth.{file_name('near=a/b.pt')}.nominal.csv"}
     for name in names:
-        assert "hitnet: no weights" in (folder / name).with_suffix(".html").read_text("utf-8")
+        part = (folder / "sections" / name).with_suffix(".html").read_text("utf-8")
+        assert "hitnet: no weights" in part
+        assert part in (folder / "report.html").read_text("utf-8")
     assert main([*given, "--stereo", "hitnet"]) == 2
 
 

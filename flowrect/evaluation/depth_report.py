@@ -1,4 +1,4 @@
-"""One self-contained HTML page about depth: error by range (Fig. 4), rectified pairs (Fig. 5)."""
+"""What the page says of depth: error by range (Fig. 4), rectified pairs and theirs (Fig. 5)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +15,8 @@ from flowrect.depth_error import EDGES_M, MatchedPair, RangeError
 from flowrect.evaluation.drawing import captioned, colours, overlay, short, small
 from flowrect.sample import Image
 from simgen.charts import SIZE, empty, label, legend_above, to_svg
-from simgen.page import page, section, table
+from simgen.page import section, table
 from simgen.paint import depth_colors
-from simgen.shards import write_atomically
 
 SHOWN_M = 3.0, EDGES_M[-1]
 """ends of the colours of depth"""
@@ -53,15 +51,15 @@ class Picture:
         return Picture(pair, method, (overlay(matched.left, matched.right), drawn))
 
 
-def write_depth_report(
-    path: Path,
+def depth_report(
+    stereo: str,
     title: str,
     ranges: Ranges,
     counts: Mapping[str, Counts],
     pictures: Sequence[Picture],
     lacking: Mapping[str, str],
-) -> None:
-    """Writes the page; ``lacking`` says why other stereo matchers could not run."""
+) -> list[str]:
+    """Its sections; ``lacking`` says why other stereo matchers could not run."""
     charts = {
         "mean absolute error of pixels that all answered": _by_range(
             {m: [common.mae_m for _, common in found] for m, found in ranges.items()},
@@ -77,19 +75,22 @@ def write_depth_report(
         f"<figure><h3>{escape(name)}</h3>{to_svg(figure, name)}</figure>"
         for name, figure in charts.items()
     )
-    sections = [
-        f'<p class="lead">{escape(title)}</p>',
-        *(f"<p>{escape(name)}: no weights: {escape(why)}</p>" for name, why in lacking.items()),
-        section("Error by range", f'<div class="charts">{"".join(drawn)}</div>'),
-        section("In numbers", _table(ranges, counts), "Mean / median of |error| in m of pixels "
-                "that all answered who have predicted the pair; in brackets, the share of pixels "
-                "that the method answered."),
-        section("Pairs and their depth", _pictures(pictures), "Left and right image laid over each "
-                "other: what is at one height in both stands on one line. Below, depth: red "
-                f"{SHOWN_M[0]:g} m, blue {SHOWN_M[1]:g} m, grey no answer. Chosen evenly from the "
-                "set, not by hand."),
+    absent = [f"{name}: no weights: {why}" for name, why in lacking.items()]
+    numbers = (
+        "Mean / median of |error| in m of pixels that all answered who have predicted the pair; in "
+        "brackets, the share of pixels that the method answered."
+    )
+    shown = (
+        "Left and right image laid over each other: what is at one height in both stands on one "
+        f"line. Below, depth: red {SHOWN_M[0]:g} m, blue {SHOWN_M[1]:g} m, grey no answer. Chosen "
+        "evenly from the set, not by hand."
+    )
+    return [
+        section(f"Depth by {title}", f'<div class="charts">{"".join(drawn)}</div>',
+                " ".join(["Error by range of true depth.", *absent])),
+        section(f"Depth by {stereo} in numbers", _table(ranges, counts), numbers),
+        section(f"Pairs, and their depth by {stereo}", _pictures(pictures), shown),
     ]  # fmt: skip
-    write_atomically(path, page("Depth of rectified pairs", sections).encode())
 
 
 def _by_range(values: Mapping[str, Sequence[float]], unit: str, *, log: bool = False) -> Figure:

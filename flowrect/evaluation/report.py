@@ -1,10 +1,9 @@
-"""One self-contained HTML page about an evaluation: tables, error curves, overlays of pairs."""
+"""What the page says of an evaluation: tables, error curves, overlays of pairs (Fig. 5)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,8 +18,7 @@ from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
 from flowrect.sample import Image, Pair
 from simgen.charts import SIZE, empty, label, legend_above, to_svg
 from simgen.geometry import Array
-from simgen.page import page, section, table
-from simgen.shards import write_atomically
+from simgen.page import section, table
 
 NUM_SHOWN = 3
 """pairs that are shown as every method rectifies them"""
@@ -28,15 +26,14 @@ NOISE_PX = 0.5
 """of a match, for the Cramér–Rao bound"""
 
 
-def write_report(
-    path: Path,
+def report(
     scores: Sequence[Score],
     rows: Rows,
     pairs: Delivered,
     unavailable: dict[str, str],
     trained: Mapping[str, str],
-) -> None:
-    """Writes the page."""
+) -> list[str]:
+    """Its sections."""
     translations = list(dict.fromkeys(s.translation for s in scores))
     sections = [_lead(scores)]
     for translation in translations:
@@ -54,7 +51,7 @@ def write_report(
     ))  # fmt: skip
     timed = table(seconds.HEAD, seconds.rows(scores))
     sections.append(section("Seconds", f'<div class="scroll">{timed}</div>', seconds.NOTE))
-    write_atomically(path, page("Rectification", sections).encode())
+    return sections
 
 
 def _lead(scores: Sequence[Score]) -> str:
