@@ -64,8 +64,9 @@ class DepthOptions:
     to it"""
     translation: Translation = "nominal"
     """which of the predictions"""
-    stereo: tuple[str, ...] = ("sgbm",)
-    """the matchers: sgbm, hitnet, hitnet=FILE of flowrect.train_depth, onnx, onnx=FILE"""
+    stereo: tuple[str, ...] = ("sgbm", "hitnet", "onnx")
+    """the matchers: sgbm, hitnet, hitnet=FILE of flowrect.train_depth, onnx or onnx=FILE for DLNR
+    and others that were exported to ONNX. Those that lack weights are left out, and say so"""
     nearest_m: float = 2.0
     """nothing is nearer: it bounds the disparities that are looked for"""
     split: Literal["test", "train", "all"] = "test"

@@ -12,7 +12,7 @@ import pytest
 from planes import along_x, plane_pair, turned
 from tiny_network import road_set
 
-from flowrect.depth import STEREO
+from flowrect.depth import STEREO, hitnet_weights
 from flowrect.depth_error import DepthSamples
 from flowrect.evaluate_depth import Tally, by_range, main, matched_by, rectified_by
 from flowrect.evaluation import one_page
@@ -68,10 +68,12 @@ def given(tmp_path: Path) -> list[str]:
 
 
 def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_the_prior(
-    given, tmp_path, capsys
+    given, tmp_path, monkeypatch, capsys
 ):
-    assert main(given) == 0
+    monkeypatch.delenv("FLOWRECT_STEREO_ONNX", raising=False)
+    assert main([*given, "--stereo", "sgbm", "onnx"]) == 0
     printed = capsys.readouterr().out
+    assert "onnx: no weights: onnx stereo matcher: no file is named. Export a network" in printed
     assert "failing (3 failed)" in printed
     assert "wild (3 failed)" in printed  # its baseline is vertical
     assert "begun (1 of 3 pairs)" in printed
@@ -123,6 +125,7 @@ def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
     given, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.delenv("FLOWRECT_HITNET", raising=False)
+    monkeypatch.setattr(hitnet_weights, "SHIPPED", tmp_path)
     for name in ("far", "near"):
         flat = partial(np.full, METRIC_WH[::-1], 1.0 if name == "far" else 9.0)
         monkeypatch.setitem(STEREO, name, lambda *_, flat=flat: lambda *_: flat(dtype=np.float32))

@@ -17,7 +17,7 @@ from tiny_network import road_set
 from flowrect import train_depth
 from flowrect.augment import Augmentation
 from flowrect.config import DepthOptions, HitnetConfig, HitnetLoss
-from flowrect.depth import load_stereo, tiles
+from flowrect.depth import hitnet_weights, load_stereo, tiles
 from flowrect.depth.hitnet import Hitnet, Init, Propagation, Stage, surest
 from flowrect.depth.hitnet_loss import (
     PointTruth,
@@ -480,10 +480,14 @@ def test_weights_come_back_and_match_the_same(tmp_path, monkeypatch):
         load_stereo("hitnet", largest_px=60)
 
 
-def test_absent_weights_say_how_to_train_some(monkeypatch):
+def test_absent_weights_say_how_to_train_some(monkeypatch, tmp_path):
     monkeypatch.delenv("FLOWRECT_HITNET", raising=False)
+    monkeypatch.setattr(hitnet_weights, "SHIPPED", tmp_path)
     with pytest.raises(UserError, match=r"python -m flowrect\.train_depth --data shards/"):
         load_stereo("hitnet", largest_px=40)
+    save_hitnet(tmp_path / "hitnet.safetensors", network(), DepthCard())
+    pair = planar_pair(PLANE, wh=(64, 32), seed=0)
+    assert load_stereo("hitnet", largest_px=40)(pair.left, pair.right).shape == (32, 64)
 
 
 def test_other_weights_are_refused(tmp_path):

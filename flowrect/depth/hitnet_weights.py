@@ -18,6 +18,7 @@ from safetensors.torch import load_file, save_file
 from flowrect.config import HitnetConfig
 from flowrect.depth.hitnet import Hitnet
 from flowrect.sample import Image
+from flowrect.weights import SHIPPED
 from simgen.errors import UserError
 
 FORMAT = "flowrect-hitnet-1"
@@ -76,10 +77,11 @@ def hitnet_matcher(
     """The trained network as a stereo matcher.
 
     Args:
-      weights: a file; that of the variable FLOWRECT_HITNET if empty.
+      weights: a file; if empty that of the variable FLOWRECT_HITNET, or what is shipped.
       largest_px: the largest disparity that can occur.
     """
-    name = weights or os.environ.get(VARIABLE, "")
+    shipped = SHIPPED / "hitnet.safetensors"
+    name = weights or os.environ.get(VARIABLE, "") or (str(shipped) if shipped.is_file() else "")
     if not name:
         raise UserError(
             f"hitnet: no weights are shipped. Train some with {HOW_TO_TRAIN}, and name the file, "
