@@ -39,6 +39,7 @@ MIN_SIDE = 128
 STRIDE = 8
 """pixels a feature, along each side"""
 UPDATES = 12
+"""of the flow where the weights do not say; torchvision's too"""
 Size = Literal["small", "large"]
 SIZES = {"small": (raft_small, 3), "large": (raft_large, 4)}
 """torchvision's builder, and the features around a match that are looked up, on each side"""
@@ -59,6 +60,7 @@ class FlowCard:
     data: str = ""
     """what they were trained on"""
     magnify: float = 1.0
+    updates: int = UPDATES
     """see ``FlowNetwork``"""
 
 
@@ -90,11 +92,12 @@ class FlowNetwork(nn.Module):
     Args:
       magnify: images are magnified by this before RAFT sees them. Its features are STRIDE pixels
         apart, and its errors are a share of that.
+      updates: how often it refines the flow. More than it was trained for need not be better.
     """
 
-    def __init__(self, size: Size = "small", magnify: float = 1.0) -> None:
+    def __init__(self, size: Size = "small", magnify: float = 1.0, updates: int = UPDATES) -> None:
         super().__init__()
-        self.magnify = magnify
+        self.magnify, self.updates = magnify, updates
         build, radius = SIZES[size]
         self.raft = build(weights=None, corr_block=_Correlation(radius=radius))
 
@@ -103,12 +106,14 @@ class FlowNetwork(nn.Module):
         return self(left, right, magnify=magnify).refined[-1]
 
     def forward(
-        self, left: Tensor, right: Tensor, updates: int = UPDATES, magnify: float | None = None
+        self, left: Tensor, right: Tensor, updates: int | None = None, magnify: float | None = None
     ) -> Flows:
         """The flow after each update, of which there may be none; H and W: multiples of STRIDE.
 
-        ``magnify``: other than the network's own, for images of another size than it trained on.
+        ``updates``, ``magnify``: others than the network's own, in training, and for images of
+        another size than it trained on.
         """
+        updates = self.updates if updates is None else updates
         magnify = self.magnify if magnify is None else magnify
         h, w = left.shape[-2:]
         if min(h, w) < MIN_SIDE or h % STRIDE or w % STRIDE:
@@ -172,7 +177,8 @@ def load_flow(name: str, magnify: float | None = None) -> FlowNetwork:
     """
     state = _fetched(name) if name in TORCHVISION else _state_of_file(_find(name))
     size: Size = "large" if any(k.startswith("mask_predictor.") for k in state) else "small"
-    network = FlowNetwork(size, card_of(name).magnify if magnify is None else magnify)
+    card = card_of(name)
+    network = FlowNetwork(size, card.magnify if magnify is None else magnify, card.updates)
     try:
         network.raft.load_state_dict(state)
     except RuntimeError as error:

@@ -25,7 +25,6 @@ from flowrect.drectify import rectify, warp
 from flowrect.flow_network import (
     MIN_SIDE,
     STRIDE,
-    UPDATES,
     FlowCard,
     FlowNetwork,
     Flows,
@@ -230,7 +229,7 @@ class FlowTask:
             batch = batch.to(device)
             wrong = rectified_wrongly(batch, self.options.error_deg, rng=rng)
             for kind, seen in (("", as_they_stand(batch)), ("rectified_", wrong)):
-                updates = UPDATES if self.options.updates else 0
+                updates = self.model.updates if self.options.updates else 0
                 flows = self.model(seen.batch.left_metric, seen.batch.right_metric, updates)
                 nats[kind].append(correlation_loss(flows, seen.batch))
                 if updates:
@@ -248,8 +247,8 @@ class FlowTask:
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
         samples = self._before.samples + seen.samples
-        card = FlowCard(samples, str(self.options.data.name), self.model.magnify)
-        save_flow(path, self.model, card)
+        data, model = str(self.options.data.name), self.model
+        save_flow(path, model, FlowCard(samples, data, model.magnify, model.updates))
 
 
 def as_initial(options: FlowOptions) -> FlowOptions:

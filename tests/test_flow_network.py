@@ -50,8 +50,13 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def two_updates(monkeypatch: pytest.MonkeyPatch) -> None:
     """RAFT refines its flow twice instead of 12 times, where how well it sees is of no account."""
-    monkeypatch.setattr(FlowNetwork, "flow", lambda raft, *images: raft(*images, 2).refined[-1])
-    monkeypatch.setattr(train_flow, "UPDATES", 2)  # of validation
+    start = FlowNetwork.__init__
+
+    def started(raft: FlowNetwork, *args: object, **more: object) -> None:
+        start(raft, *args, **more)
+        raft.updates = 2
+
+    monkeypatch.setattr(FlowNetwork, "__init__", started)
 
 
 def batch_of(data: Path, augmentation: Augmentation | None, num: int = 2) -> Batch:
@@ -315,6 +320,16 @@ def test_a_magnified_image_is_seen_and_flow_is_of_the_image_itself(weights, magn
     assert flows.correlation.shape == (1, w * h // 64, w * h // 64)
     found = flows.refined[-1][0].permute(1, 2, 0).numpy()
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_weights_know_how_often_their_flow_is_refined(tmp_path, weights):
+    network = load_flow(str(weights))
+    save_flow(tmp_path / "three.safetensors", network, replace(FlowCard(), updates=3))
+    images = torch.rand(2, 1, 3, 128, 128, generator=torch.Generator().manual_seed(0))
+    three = load_flow(str(tmp_path / "three.safetensors"))
+    assert len(network(*images).refined) == 12
+    assert len(three(*images).refined) == 3
+    assert torch.equal(three.flow(*images), network(*images, 3).refined[-1])
 
 
 @pytest.mark.usefixtures("two_updates")

@@ -118,7 +118,7 @@ class VerticalFlow:
 
         network = load_flow(name)
         weights = (x.numpy() for x in network.state_dict().values())
-        by = f"{stamp.of_matcher('raft')} {network.magnify}"
+        by = f"{stamp.of_matcher('raft')} {network.magnify} {network.updates}"
         return VerticalFlow(network.flow, digest(by.encode(), *weights), Memory(path))
 
     def figures(
