@@ -91,9 +91,7 @@ def main(options: Options) -> None:
     if options.write:
         path = find_weights(options.weights)
         model = load_model(path)
-        save_weights(
-            path, model.network, replace(model.card, least_match_probability=round(least, 3))
-        )
+        save_weights(path, model.network, replace(model.card, least_match_probability=least))
         print(f"{path}: written")
 
 

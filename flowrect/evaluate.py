@@ -33,7 +33,7 @@ from flowrect.evaluation.predict import Report, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
-from flowrect.evaluation.scoring import Scoring, scores_of
+from flowrect.evaluation.scoring import OFFSETS, Scoring, scores_of
 from flowrect.files import make_folder, read_json
 from flowrect.methods import METHODS, TABLE, training_of
 from simgen.errors import UserError
@@ -61,10 +61,10 @@ class EvaluateOptions:
     """pairs at most, evenly chosen; 0: all"""
     turn_deg: float = 0.0
     """turns the cameras of rectified real pairs by known rotations, each component within ± this"""
-    offsets: tuple[str, ...] = ("sift-paper", "aliked")
+    offsets: tuple[str, ...] = OFFSETS
     """matchers that measure what is left between rectified images; aliked takes the place of the
-    paper's SuperGlue, which can be asked for where its weights are. One that cannot run is left
-    out"""
+    paper's SuperGlue, which can be asked for where its weights are. Of the default, what cannot run
+    is left out"""
     flow_network: str = "raft"
     """RAFT that measures vertical flow between rectified images, as in the paper: shipped weights,
     some of flowrect.train_flow, torchvision or torchvision-large; "" for none"""

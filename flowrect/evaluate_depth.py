@@ -49,6 +49,8 @@ from simgen.geometry import Array
 
 TRUTH_POINTS = 100_000
 """left pixels of a pair, evenly chosen, whose depth is compared"""
+SIGN_PX = 1.0
+"""far points of a dark pair may well have a disparity of a little less than 0"""
 NUM_SHOWN = 3
 """pairs whose depth is shown as every method rectifies them"""
 
@@ -106,7 +108,7 @@ def available(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         except UserError as error:
             if kind not in STEREO:
                 raise
-            lacking[name] = str(error)
+            lacking[name] = f"no weights: {error}"
     if len(lacking) == len(names):
         raise UserError(" ".join(lacking.values()))
     return [name for name in names if name not in lacking], lacking
@@ -178,7 +180,7 @@ def _matched_by_all(
 def _require_sign(truly_rectified: MatchedPair, pair: Pair, stereo: str) -> None:
     """Raises if a matcher counts disparity the other way; a wrong pose may well turn its sign."""
     known = truly_rectified.disparity[np.isfinite(truly_rectified.disparity)]
-    if known.size and np.median(known) < 0:
+    if known.size and np.median(known) < -SIGN_PX:
         raise UserError(
             f"{stereo}: {pair.name} is rectified by its true pose, and most of its disparities are "
             f"negative (median {np.median(known):.1f} px), expected u_left − u_right ≥ 0. Networks "
@@ -295,9 +297,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = tyro.cli(DepthOptions, args=arguments, prog="flowrect.evaluate_depth")
     try:
         _require_sensible(options)
-        names, lacking = available(options.stereo)
-        for name in names:
-            _write(options, name, lacking)
+        lacking, stopped = _write_all(options)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -305,8 +305,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("interrupted: nothing is written of the stereo matcher at work.")
         return 130
     for name, why in lacking.items():
-        print(f"{name}: no weights: {why}")
-    return 0
+        print(f"{name}: {why}")
+    for why in stopped:
+        print(f"error: {why}", file=sys.stderr)
+    return 2 if stopped else 0
+
+
+def _write_all(options: DepthOptions) -> tuple[dict[str, str], list[str]]:
+    """Why some stereo matchers could not run, and what stopped others."""
+    names, lacking = available(options.stereo)
+    stopped = []
+    for name in names:
+        try:
+            _write(options, name, lacking)
+        except UserError as error:
+            if len(names) == 1:
+                raise
+            stopped.append(str(error))
+    return lacking, stopped
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Weights in half precision: ``python -m flowrect.halve_weights runs/rpnet/last.safetensors …``.
 
 For shipping what is large: 12 million parameters are 48 MB in float32. Whoever loads the file
-computes in float32 again; only the rounding of the weights stays, a 2048th of each.
+computes in float32 again; only the rounding of the weights stays: a 2048th of each, 3e-8 of the
+smallest.
 """
 
 from __future__ import annotations

@@ -133,6 +133,7 @@ class PairLoader:
         num_ranks: int = 1,
     ) -> None:
         self._batches = EpochBatches(len(pairs), options, rank=rank, num_ranks=num_ranks)
+        self._started = False
         self._loader = DataLoader(
             PreparedPairs(pairs, sizing, augmentation, seed=options.seed),
             batch_sampler=self._batches,
@@ -153,12 +154,17 @@ class PairLoader:
         return self._batches.per_epoch
 
     def __iter__(self) -> Iterator[Batch]:
-        with _stopping_signals_held():
-            batches = iter(self._loader)
+        batches = iter(self._loader) if self._started else self._start()
         for batch in batches:
             self._batches.done += 1
             yield batch
         self._batches.epoch, self._batches.done = self._batches.epoch + 1, 0
+
+    def _start(self) -> Iterator[Batch]:
+        """The first epoch, which forks the workers."""
+        self._started = True
+        with _stopping_signals_held():
+            return iter(self._loader)
 
     def state_dict(self) -> dict[str, Any]:
         """The position: the epoch, and how many of its batches were handed out."""

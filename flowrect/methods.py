@@ -151,18 +151,20 @@ class FromMatches:
         try:
             start = self.start(left, right, K_left, K_right, prior)
             seconds.update(start.seconds)
-            return self._solved(matches, K_left, K_right, start, seconds)
+            return self._solved(matches, K_left, K_right, start, prior[:3, 3], seconds)
         except NoSolution as error:
             spent = {**seconds, **error.seconds}
             raise NoSolution(str(error), num_matches=len(matches), seconds=spent) from error
 
     def _solved(
-        self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, seconds: Seconds
-    ) -> PoseEstimate:
+        self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, t_prior: Array,
+        seconds: Seconds,
+    ) -> PoseEstimate:  # fmt: skip
         """Where matches do not suffice, what another method said stands, and is noted."""
+        prior = transform(start.R, t_prior)  # a t that a network predicts is no calibration
         try:
             with seconds.of("solving"):
-                solution = self.solver(matches, K_left, K_right, transform(start.R, start.t))
+                solution = self.solver(matches, K_left, K_right, prior)
         except NoSolution as error:
             if self.start is unrectified:
                 raise

@@ -57,8 +57,9 @@ class RectifyOptions:
     """nominal calibration: OpenCV YAML, a Kalibr camchain, or two ROS camera_info (left, right)"""
     method: str = "network+5dof"
     """network+5dof: the network, then a fit of rotation and direction of t to SIFT and flow
-    matches; network: the network alone, which leaves t as given; MATCHER+SOLVER: matches alone. A
-    method that does not exist is answered by the list of those that do"""
+    matches; network: the network alone, which leaves t as given, unless it is a rival that predicts
+    it; MATCHER+SOLVER: matches alone. A method that does not exist is answered by the list of those
+    that do"""
     weights: str = "small"
     """of the network, where the method has one: name of shipped weights, or a file of
     flowrect.train"""

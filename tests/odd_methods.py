@@ -61,3 +61,8 @@ def _odd(
 ) -> PoseEstimate:  # fmt: skip
     """The prior; a black left image brings out the deed."""
     return unrectified(left, right, K_left, K_right, prior) if left.any() else deed()
+
+
+def kill_oneself(*_: object) -> None:
+    """The process is gone, as if there were no memory left for it."""
+    os._exit(3)

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from odd_methods import SAID, load_odd
+from odd_methods import SAID, kill_oneself, load_odd
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 from test_rectify import K, photograph
@@ -28,7 +28,7 @@ from flowrect import evaluate as command
 from flowrect.calibration import Calibration
 from flowrect.config import SMALL
 from flowrect.evaluate import EvaluateOptions, evaluate, main
-from flowrect.evaluation import predictions, report, seconds, stamp
+from flowrect.evaluation import predictions, report, scoring, seconds, stamp
 from flowrect.evaluation.delivered import Delivered, Delivery, prior
 from flowrect.evaluation.offsets import FLOW, FLOW_VALID, Memory, Offsets, VerticalFlow
 from flowrect.evaluation.predict import FAULT, TOO_LONG, Run, _matches, predict
@@ -273,7 +273,8 @@ def test_a_network_has_no_solution_for_images_that_hardly_match(name):
 @pytest.mark.slow  # a process of its own, which starts another
 def test_the_command_prints_no_warning_of_python(data, tmp_path):
     out = str(tmp_path / "results")
-    options = ["--methods", "network", "--limit", "1", "--size", "96x48", "--out", out]
+    options = ["--methods", "network", "--limit", "1", "--size", "96x48", "--out", out,
+               "--matched-pairs", "0"]  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-m", "flowrect.evaluate", "--data", str(data), *options],
         capture_output=True, text=True,
@@ -585,6 +586,25 @@ def test_offsets_by_what_cannot_run_are_left_out_and_said(wall, tmp_path, monkey
     }  # fmt: skip
 
 
+def test_offsets_that_were_asked_for_and_cannot_run_are_refused(wall, tmp_path, monkeypatch):
+    def absent() -> None:
+        raise UserError("it needs weights.")
+
+    monkeypatch.setitem(MATCHERS, "superglue", absent)
+    options = EvaluateOptions(wall, ("sift+5dof",), size="256x128", turn_deg=1.0, limit=1,
+                              offsets=("sift", "superglue"), out=tmp_path)  # fmt: skip
+    with pytest.raises(UserError, match="it needs weights"):
+        evaluate(options, QUIET)
+
+
+def test_a_scoring_process_that_dies_is_said(wall, tmp_path, monkeypatch):
+    options = EvaluateOptions(wall, ("sift+5dof",), size="256x128", turn_deg=1.0, limit=2,
+                              matched_pairs=0, jobs=2, out=tmp_path)  # fmt: skip
+    monkeypatch.setattr(scoring, "_score", kill_oneself)
+    with pytest.raises(UserError, match=r"scored pair 0 died .* take fewer --jobs"):
+        evaluate(options, QUIET)
+
+
 def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):
     out = tmp_path / "a" / "b"
     arguments = ["--data", str(data), "--methods", "loftr+5dof", "--size", "96x48",
@@ -678,7 +698,11 @@ def test_a_limit_is_spread_over_the_set(data):
         (["--limit", "-1"], "--limit -1: expected at least 0"),
         (["--turn-deg", "-1"], "--turn-deg -1: expected at least 0"),
         (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),
-        (["--offsets", "shift"], "shift"),
+        (["--offsets", "shift"], "--offsets shift: expected some of sift, "),
+        (
+            ["--offsets", "shift", "--matched-pairs", "0"],
+            "--offsets shift: expected some of sift, ",
+        ),
         (["--flow-network", "no.pth"], "flow weights 'no.pth': no such file"),
         (["--size", "huge"], "--size huge: expected WIDTHxHEIGHT"),
         (["--size", "2048x1024"], r"less than 2048x1024; ask for a smaller --size"),

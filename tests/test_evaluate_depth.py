@@ -24,6 +24,7 @@ from flowrect.evaluation.stamp import of_method
 from flowrect.methods import PoseEstimate
 from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing, sized
+from simgen.errors import UserError
 
 
 def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter():
@@ -159,6 +160,18 @@ def test_negative_disparities_of_a_wrong_pose_are_answers_and_of_the_true_one_re
     assert main(given) == 2
     assert re.search(r"turned: .* true pose, and most .* negative \(median -3.0 px\)",
                      capsys.readouterr().err)  # fmt: skip
+
+
+def test_a_matcher_that_stops_costs_the_others_nothing(given, tmp_path, monkeypatch, capsys):
+    def stops(*_: object) -> np.ndarray:
+        raise UserError("stops: images too small")
+
+    flat = partial(np.full, METRIC_WH[::-1], 9.0, dtype=np.float32)
+    monkeypatch.setitem(STEREO, "stops", lambda *_: stops)
+    monkeypatch.setitem(STEREO, "flat", lambda *_: lambda *_: flat())
+    assert main([*given, "--pairs", "1", "--stereo", "stops", "flat"]) == 2
+    assert capsys.readouterr().err == "error: stops: images too small\n"
+    assert (tmp_path / "results" / "depth.flat.nominal.csv").exists()
 
 
 def test_depth_without_predictions_or_matcher_is_refused(given, tmp_path, capsys):

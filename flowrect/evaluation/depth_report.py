@@ -75,7 +75,7 @@ def depth_report(
         f"<figure><h3>{escape(name)}</h3>{to_svg(figure, name)}</figure>"
         for name, figure in charts.items()
     )
-    absent = [f"{name}: no weights: {why}" for name, why in lacking.items()]
+    absent = [f"{name}: {why}" for name, why in lacking.items()]
     numbers = (
         "Mean / median of |error| in m of pixels that all answered who have predicted the pair; in "
         "brackets, the share of pixels that the method answered."

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import torch
@@ -19,6 +20,9 @@ from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.scores import Score, scored
 from flowrect.matchers import MATCHERS, load_matcher
 from simgen.errors import UserError
+
+OFFSETS = ("sift-paper", "aliked")
+"""measured if nothing is asked for, where they can be; aliked in place of the paper's SuperGlue"""
 
 
 @dataclass(frozen=True)
@@ -39,22 +43,22 @@ class Scoring:
     """processes"""
 
     def looks(self) -> tuple[list[Look], dict[str, str]]:
-        """All that measure what is left, and why others cannot, by name.
+        """All that measure what is left, and why some of ``OFFSETS`` cannot, by name.
 
         Raises:
-          UserError: there is no such matcher or network, or two matchers would share a column.
+          UserError: something that was asked for cannot be loaded, or two would share a column.
         """
+        _require_columns(self.offsets)
         found: list[Look] = []
         lacking: dict[str, str] = {}
         if not self.matched_pairs:
             return found, lacking
-        _require_columns(self.offsets)
         folder = self.out / "offsets"
         for name in self.offsets:
             try:
                 match = load_matcher(name)
-            except UserError as error:
-                if name not in MATCHERS:
+            except Exception as error:  # a broken package as well: it costs that column only
+                if self.offsets != OFFSETS:
                     raise
                 lacking[name] = str(error)
             else:
@@ -101,23 +105,26 @@ def _by_pair(scoring: Scoring, looks: Sequence[Look], num_pairs: int) -> Iterato
     if scoring.jobs == 1:
         yield from map(Scorer(scoring, looks), range(num_pairs))
         return
+    names = tuple(x.name for x in looks if isinstance(x, Offsets))
+    known = replace(scoring, offsets=tuple(n for n in scoring.offsets if _column(n) in names))
     with ExitStack() as stack:
-        pool = stack.enter_context(
-            ProcessPool(scoring.jobs, context=fork_server(), initializer=_start, initargs=[scoring])
-        )
+        pool = stack.enter_context(ProcessPool(scoring.jobs, context=fork_server()))
         stack.push(partial(stop_if_interrupted, pool))
-        tasks = [pool.schedule(_score, args=[i]) for i in range(num_pairs)]
+        tasks = [pool.schedule(_score, args=[known, i]) for i in range(num_pairs)]
         for i, task in enumerate(tasks):
             try:
                 yield task.result()
-            except ProcessExpired as error:
+            except (ProcessExpired, BrokenProcessPool) as error:
                 raise UserError(
-                    f"the process that scored pair {i} died ({error}); too little memory? The same "
+                    f"a process that scored pair {i} died ({error}); too little memory? The same "
                     "command goes on with what was measured; take fewer --jobs."
                 ) from error
 
 
 def _require_columns(offsets: Sequence[str]) -> None:
+    unknown = [name for name in offsets if name not in MATCHERS]
+    if unknown:
+        raise UserError(f"--offsets {unknown[0]}: expected some of {', '.join(MATCHERS)}.")
     if len({_column(name) for name in offsets}) < len(offsets):
         raise UserError(
             f"--offsets {' '.join(offsets)}: settings of one matcher share a column; ask for one."
@@ -130,14 +137,12 @@ def _column(matcher: str) -> str:
 
 # --- in the process ------------------------------------------------------------------------------
 
-_scorers: list[Scorer] = []
-"""that of this process"""
 
-
-def _start(scoring: Scoring) -> None:
+@lru_cache(maxsize=1)
+def _scorer(scoring: Scoring) -> Scorer:
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // scoring.jobs))
-    _scorers[:] = [Scorer(scoring, scoring.looks()[0])]
+    return Scorer(scoring, scoring.looks()[0])
 
 
-def _score(i: int) -> list[Score]:
-    return _scorers[0](i)
+def _score(scoring: Scoring, i: int) -> list[Score]:
+    return _scorer(scoring)(i)
