@@ -249,6 +249,9 @@ class FlowOptions(LoopOptions):
     updates: int = 12
     """refinements of the flow, each of which is supervised; 0: only features are trained, by
     ``matching``, at a third of the cost, as a start for --init"""
+    refine: int | None = None
+    """how often the flow is refined outside of training, which the weights remember; if not given,
+    as those of --init say, else 12"""
     matching: float = 0.0
     """beyond RAFT: weight [px/nat] of the cross-entropy of the features' correlation against exact
     flow, over all features of the right image"""

@@ -163,14 +163,14 @@ def save_flow(path: Path, network: FlowNetwork, card: FlowCard) -> None:
     os.replace(partial, path)
 
 
-def load_flow(name: str, magnify: float | None = None) -> FlowNetwork:
+def load_flow(name: str, magnify: float | None = None, updates: int | None = None) -> FlowNetwork:
     """A frozen network, small or large as the weights are.
 
     Args:
       name: a file of ``flowrect.train_flow`` (.safetensors), the name of shipped weights, a file of
         torchvision's (.pth), or "torchvision" (small) or "torchvision-large", which fetch theirs.
         A hash in the name of a .pth is checked, fetched or not.
-      magnify: see FlowNetwork; None: what the weights were trained with, 1 if they do not say.
+      magnify, updates: see FlowNetwork; None: as the weights say, else 1 and ``UPDATES``.
 
     Raises:
       UserError: there are no such weights, or they are not RAFT's.
@@ -178,7 +178,8 @@ def load_flow(name: str, magnify: float | None = None) -> FlowNetwork:
     state = _fetched(name) if name in TORCHVISION else _state_of_file(_find(name))
     size: Size = "large" if any(k.startswith("mask_predictor.") for k in state) else "small"
     card = card_of(name)
-    network = FlowNetwork(size, card.magnify if magnify is None else magnify, card.updates)
+    magnify = card.magnify if magnify is None else magnify
+    network = FlowNetwork(size, magnify, card.updates if updates is None else updates)
     try:
         network.raft.load_state_dict(state)
     except RuntimeError as error:

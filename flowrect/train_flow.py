@@ -172,13 +172,17 @@ class FlowTask:
                 f"--crop-wh {options.crop_wh}: expected multiples of {STRIDE} from {MIN_SIDE} px "
                 f"to {METRIC_WH}."
             )
-        magnify = 1.0 if options.magnify is None else options.magnify
-        if not 1 <= magnify <= 4:
-            raise UserError(f"--magnify {magnify:g}: expected 1 to 4.")
+        options = as_initial(options)
+        assert options.magnify is not None
+        if not 1 <= options.magnify <= 4:
+            raise UserError(f"--magnify {options.magnify:g}: expected 1 to 4.")
+        if options.refine is None or options.refine < 1:
+            raise UserError(f"--refine {options.refine}: expected at least 1.")
         self.options = options
         self.input_wh = METRIC_WH
         self._before = card_of(options.init) if options.init else FlowCard()
-        network = load_flow(options.init, magnify) if options.init else FlowNetwork(magnify=magnify)
+        seen = options.magnify, options.refine
+        network = load_flow(options.init, *seen) if options.init else FlowNetwork("small", *seen)
         network.requires_grad_(True)
         if not options.updates:
             network.requires_grad_(False).raft.feature_encoder.requires_grad_(True)
@@ -252,10 +256,11 @@ class FlowTask:
 
 
 def as_initial(options: FlowOptions) -> FlowOptions:
-    """The options with the magnification of the weights of ``--init``, unless another is given."""
-    if options.magnify is not None:
-        return options
-    return replace(options, magnify=card_of(options.init).magnify if options.init else 1.0)
+    """The options with what the weights of ``--init`` remember, unless something else is given."""
+    card = card_of(options.init) if options.init else FlowCard()
+    magnify = card.magnify if options.magnify is None else options.magnify
+    refine = card.updates if options.refine is None else options.refine
+    return replace(options, magnify=magnify, refine=refine)
 
 
 def train_flow(options: FlowOptions) -> dict[str, float]:

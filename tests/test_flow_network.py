@@ -52,8 +52,8 @@ def two_updates(monkeypatch: pytest.MonkeyPatch) -> None:
     """RAFT refines its flow twice instead of 12 times, where how well it sees is of no account."""
     start = FlowNetwork.__init__
 
-    def started(raft: FlowNetwork, *args: object, **more: object) -> None:
-        start(raft, *args, **more)
+    def started(raft: FlowNetwork, *args: object) -> None:
+        start(raft, *args)
         raft.updates = 2
 
     monkeypatch.setattr(FlowNetwork, "__init__", started)
@@ -330,6 +330,20 @@ def test_weights_know_how_often_their_flow_is_refined(tmp_path, weights):
     assert len(network(*images).refined) == 12
     assert len(three(*images).refined) == 3
     assert torch.equal(three.flow(*images), network(*images, 3).refined[-1])
+
+
+def test_how_often_flow_is_refined_goes_from_weights_to_weights(data, tmp_path, weights):
+    options = flow_options(data, tmp_path / "a", updates=1, max_steps=1, refine=2)
+    train_flow.train_flow(options)
+    last = tmp_path / "a" / "last.safetensors"
+    assert read_card(last).updates == 2
+    on = flow_options(data, tmp_path / "b", init=str(last))
+    assert train_flow.FlowTask(on).model.updates == 2
+    assert train_flow.FlowTask(replace(on, refine=5)).model.updates == 5
+    with pytest.raises(UserError, match=r"refine was 2, now 12"):  # as it would go on
+        train_flow.train_flow(replace(options, refine=None))
+    with pytest.raises(UserError, match=r"--refine 0: expected at least 1"):
+        train_flow.FlowTask(replace(on, refine=0))
 
 
 @pytest.mark.usefixtures("two_updates")
