@@ -104,7 +104,8 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     trained = {m: training_of(m) for m, _ in rows}
     _write(options, scores, unavailable, trained)
     sections = report(scores, rows, delivery.open(), unavailable, trained)
-    one_page.put(options.out, one_page.FIRST, sections)
+    sources = one_page.Sources.of(delivery.open().fingerprint, (method for method, _ in rows))
+    one_page.put(options.out, one_page.FIRST, sections, sources)
     return scores
 
 

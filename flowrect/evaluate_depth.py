@@ -124,7 +124,7 @@ def _require_sensible(options: DepthOptions) -> None:
 
 def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
     """Depth samples of every pair, by method."""
-    delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit)
+    delivery = _delivery(options)
     rows = {
         method: found
         for (method, translation), found in predictions_of(
@@ -150,6 +150,10 @@ def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
             if i in shown:
                 tallies[name].pictures[i] = Picture.of(rectified, pair.name, name)
     return tallies
+
+
+def _delivery(options: DepthOptions) -> Delivery:
+    return Delivery(options.data, options.split, wh_of(options.size), options.limit)
 
 
 def _matched_by_all(
@@ -286,7 +290,9 @@ def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> No
     pictures = [t.pictures[i] for i in tallies[TRUTH].pictures for t in tallies.values()
                 if i in t.pictures]  # fmt: skip
     sections = depth_report(stereo, title, ranges, counts, pictures, lacking)
-    path = one_page.put(options.results, name, sections)
+    own = {UNRECTIFIED, TRUTH}
+    sources = one_page.Sources.of(_delivery(options).open().fingerprint, tallies.keys() - own)
+    path = one_page.put(options.results, name, sections, sources)
     title += ": MAE / median in m of pixels that all answered; own answers"
     Console(width=200).print(table(ranges, counts, title))
     print(f"{path}: the same as curves, with pictures")

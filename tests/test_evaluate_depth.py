@@ -94,12 +94,23 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
 
 
 def test_commands_share_one_page_and_each_replaces_its_own_part(tmp_path):
-    one_page.put(tmp_path, "depth.sgbm.gt", ["<p>depth</p>"])
-    one_page.put(tmp_path, one_page.FIRST, ["<p>old</p>"])
-    page = one_page.put(tmp_path, one_page.FIRST, ["<p>a</p>", "<p>b</p>"]).read_text("utf-8")
-    assert "<p>a</p><p>b</p><p>depth</p>" in page
-    assert "old" not in page
-    assert page.count("<html") == 1
+    sources = one_page.Sources("pairs", {"a": "1"})
+    one_page.put(tmp_path, "depth.sgbm.gt", ["<p>depth</p>"], sources)
+    one_page.put(tmp_path, one_page.FIRST, ["<p>old</p>"], sources)
+    joined = one_page.Sources("pairs", {"a": "1", "b": "1"})
+    page = one_page.put(tmp_path, one_page.FIRST, ["<p>a</p>", "<p>b</p>"], joined)
+    text = page.read_text("utf-8")
+    assert 0 < text.index("<p>a</p><p>b</p>") < text.index("<p>depth</p>")
+    assert "old" not in text
+    assert text.count("<html") == 1
+
+
+@pytest.mark.parametrize("later", [("others", {"a": "1"}), ("pairs", {"a": "2"})])
+def test_what_is_of_other_pairs_or_weights_leaves_the_page(later, tmp_path):
+    one_page.put(tmp_path, "depth", ["<p>depth</p>"], one_page.Sources("pairs", {"a": "1"}))
+    page = one_page.put(tmp_path, one_page.FIRST, ["<p>a</p>"], one_page.Sources(*later))
+    assert "depth" not in page.read_text("utf-8")
+    assert [p.name for p in (tmp_path / "sections").iterdir()] == ["rectification.html"]
 
 
 def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none():
