@@ -18,7 +18,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from matplotlib import cbook
 from odd_methods import SAID, kill_oneself, load_odd
+from PIL import Image
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 from test_rectify import K, photograph
@@ -554,6 +556,37 @@ def test_stale_predictions_are_refused_before_anything_is_predicted(data, tmp_pa
                  "--split", "all", "--out", str(tmp_path)]  # fmt: skip
     assert main(arguments) == 2
     assert "predictions of other settings, weights or another version" in capsys.readouterr().err
+
+
+def photograph_on_a_wall(folder: Path) -> Path:
+    """A rectified pair of a photograph that Matplotlib ships, parallel to the rig."""
+    photo = np.asarray(Image.open(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False)))
+    disparity, f, wh = 24, 300.0, (480, 240)
+    for side, u in (("left", 0), ("right", disparity)):
+        (folder / side).mkdir(parents=True)
+        write_rgb(folder / side / "a.png", photo[180:420, u : u + wh[0]])
+    K = np.array([[f, 0, (wh[0] - 1) / 2], [0, f, (wh[1] - 1) / 2], [0, 0, 1]])
+    T = transform(np.eye(3), np.array([-0.8, 0.0, 0.0]))  # at 10 m
+    opencv.write(folder / "calib.yaml", Calibration(K, K, T, wh))
+    return folder
+
+
+@pytest.mark.slow  # four networks are loaded, and half a minute passes
+def test_all_columns_and_learned_methods_by_default(tmp_path):
+    """What is shipped and what packages bring, from matches to the page."""
+    wall = photograph_on_a_wall(tmp_path / "wall")
+    methods = ("aliked+5dof", "network+5dof")
+    options = EvaluateOptions(wall, methods, size="384x192", turn_deg=0.5, limit=1,
+                              translations=("nominal",), out=tmp_path / "out")  # fmt: skip
+    found = {s.method: s for s in evaluate(options, QUIET)}
+    offsets = ("sift_offset_median_px", "aliked_offset_median_px")
+    before = found["unrectified"].figures
+    for method in methods:
+        figures = found[method].figures
+        assert found[method].failure == ""
+        assert figures["geodesic_deg"] < 0.25 * before["geodesic_deg"]
+        assert all(figures[name] < 0.25 * before[name] for name in offsets)
+        assert 0 < figures[FLOW_VALID] < 100  # RAFT knows roads, not portraits
 
 
 def test_two_processes_score_as_one_does(wall, scores, tmp_path, worst):
