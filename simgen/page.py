@@ -67,10 +67,13 @@ th { font-weight: 600; color: #68707a; }
 .scroll { overflow-x: auto; }
 .files td:last-child { font: .76rem ui-monospace, monospace; }
 .sheet { display: grid; grid-template-columns: repeat(auto-fill, minmax(210px, 1fr)); gap: .8rem; }
-.sheet img { width: 100%; display: block; }
+.rows { display: grid; grid-template-columns: repeat(var(--columns), minmax(210px, 1fr));
+  gap: .8rem; }
+:is(.sheet, .rows) img { width: 100%; display: block; }
 figure { margin: 0; background: #fff; border: 1px solid #e3e6ea; }
 figcaption { padding: .35rem .55rem; font-size: .76rem; color: #68707a; line-height: 1.4; }
 .charts { display: grid; grid-template-columns: repeat(auto-fit, minmax(440px, 1fr)); gap: 1rem; }
+:is(.scroll, p) + .charts { margin-top: 1rem; }
 .charts figure, .wide figure { padding: .9rem 1rem .5rem; margin-bottom: 0; }
 .wide { display: grid; gap: 1rem; }
 svg { width: 100%; height: auto; display: block; }

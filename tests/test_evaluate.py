@@ -30,7 +30,7 @@ from flowrect import evaluate as command
 from flowrect.calibration import Calibration
 from flowrect.config import SMALL
 from flowrect.evaluate import EvaluateOptions, evaluate, main
-from flowrect.evaluation import predictions, report, scoring, seconds, stamp
+from flowrect.evaluation import drawing, predictions, report, scoring, seconds, stamp
 from flowrect.evaluation.delivered import Delivered, Delivery, prior
 from flowrect.evaluation.offsets import FLOW, FLOW_VALID, Memory, Offsets, VerticalFlow
 from flowrect.evaluation.predict import FAULT, TOO_LONG, Run, _matches, predict
@@ -386,6 +386,12 @@ def test_hard_and_easy_pairs_have_the_whole_table_of_their_own(scores):
     assert "clear and not night" not in document(dark, {}, {}, "", ("nominal",))
 
 
+def test_pictures_have_one_column_a_method_and_a_gap_where_one_lacks():
+    cells = {("a", "m"): "<i>am</i>", ("a", "n"): "<i>an</i>", ("b", "n"): "<i>bn</i>"}
+    html = drawing.one_column_a_method(cells, ["m", "n"])
+    assert "<i>am</i><i>an</i><div></div><i>bn</i>" in html
+
+
 def test_offsets_name_their_pairs_and_count_those_without_a_match(scores):
     some = [replace(s, figures=s.figures | {"sift_offset_px": np.nan}) if s.index == 1 else s
             for s in scores]  # fmt: skip
@@ -541,6 +547,7 @@ def test_overlays_show_the_truth_and_the_prior_where_a_method_failed(data):
     html = report._overlays(rows, of_pair, pairs)
     captions = re.findall("<figcaption>.*?: (.*?)</figcaption>", html)
     assert captions == ["unrectified", "m", "failing, which failed", "truth"]
+    assert 'style="--columns: 4"' in html
 
 
 def test_a_method_without_weights_stays_in_the_table(scores):

@@ -12,7 +12,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flowrect.depth_error import EDGES_M, MatchedPair, RangeError
-from flowrect.evaluation.drawing import captioned, colours, overlay, short, small
+from flowrect.evaluation.drawing import (
+    captioned,
+    colours,
+    one_column_a_method,
+    overlay,
+    short,
+    small,
+)
 from flowrect.sample import Image
 from simgen.charts import SIZE, empty, label, legend_above, to_svg
 from simgen.page import section, table
@@ -134,5 +141,5 @@ def _mark(counts: Counts, of: int) -> str:
 
 
 def _pictures(pictures: Sequence[Picture]) -> str:
-    cells = (captioned(p.images, f"{p.pair}: {p.method}") for p in pictures)
-    return f'<div class="sheet">{"".join(cells)}</div>'
+    cells = {(p.pair, p.method): captioned(p.images, f"{p.pair}: {p.method}") for p in pictures}
+    return one_column_a_method(cells, list(dict.fromkeys(p.method for p in pictures)))

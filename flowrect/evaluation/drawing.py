@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 
 import cv2
@@ -57,6 +57,14 @@ def captioned(images: Sequence[Image], caption: str) -> str:
         for image in images
     )
     return f"<figure>{pictures}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def one_column_a_method(cells: Mapping[tuple[str, str], str], methods: Sequence[str]) -> str:
+    """HTML of cells by pair and method: a row for each pair, as wide as it takes."""
+    pairs = dict.fromkeys(pair for pair, _ in cells)
+    inner = "".join(cells.get((pair, m), "<div></div>") for pair in pairs for m in methods)
+    grid = f'<div class="rows" style="--columns: {len(methods)}">{inner}</div>'
+    return f'<div class="scroll">{grid}</div>'
 
 
 def _jpeg(image: Image) -> str:

@@ -13,7 +13,7 @@ from flowrect.depth_error import rectified_images
 from flowrect.drectify import rectify
 from flowrect.evaluation import seconds, tables
 from flowrect.evaluation.delivered import Delivered, evenly, prior
-from flowrect.evaluation.drawing import captioned, colours, overlay, short
+from flowrect.evaluation.drawing import captioned, colours, one_column_a_method, overlay, short
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
 from flowrect.sample import Image, Pair
 from simgen.charts import SIZE, empty, label, legend_above, to_svg
@@ -161,15 +161,16 @@ def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
 
 def _overlays(rows: Rows, scores: Sequence[Score], pairs: Delivered) -> str:
     """Some pairs as all methods rectify them, the truth last; failures by the prior."""
-    cells = []
+    cells = {}
     for i in evenly(NUM_SHOWN + 2, len(pairs))[1:-1] or range(len(pairs)):
         pair = pairs[i].metric
         for score in (s for s in scores if s.index == i):
             pose = _pose(score, rows, pair)
             left, right = (pair.left, pair.right) if pose is None else _rectified(pair, *pose)
             failed = ", which failed" if score.failure else ""
-            cells.append(captioned([overlay(left, right)], f"{pair.name}: {score.method}{failed}"))
-    return f'<div class="sheet">{"".join(cells)}</div>'
+            caption = f"{pair.name}: {score.method}{failed}"
+            cells[pair.name, score.method] = captioned([overlay(left, right)], caption)
+    return one_column_a_method(cells, list(dict.fromkeys(s.method for s in scores)))
 
 
 def _pose(score: Score, rows: Rows, pair: Pair) -> tuple[Array, Array] | None:
