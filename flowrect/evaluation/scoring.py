@@ -78,10 +78,6 @@ class Scorer:
         self._matched = set(evenly(scoring.matched_pairs, len(self._pairs)))
         self._translations = scoring.translations
 
-    def __len__(self) -> int:
-        """Pairs."""
-        return len(self._pairs)
-
     def __call__(self, i: int) -> list[Score]:
         """All methods on pair ``i``."""
         looks = self._looks if i in self._matched else ()
@@ -141,7 +137,10 @@ def _column(matcher: str) -> str:
 @lru_cache(maxsize=1)
 def _scorer(scoring: Scoring) -> Scorer:
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // scoring.jobs))
-    return Scorer(scoring, scoring.looks()[0])
+    looks, lacking = scoring.looks()
+    if lacking:  # the command could load them: another column would be without this pair
+        raise UserError(f"a scoring process could not load {lacking}; take fewer --jobs.")
+    return Scorer(scoring, looks)
 
 
 def _score(scoring: Scoring, i: int) -> list[Score]:
