@@ -5,15 +5,16 @@ its left pixels compared with the truth. The poses are those that ``flowrect.eva
 to RESULTS; a pair for which a method failed is rectified by the prior, and counted; one that it has
 not predicted is in none of its figures. All rectifications of a pair share the K_new of its nominal
 rig, and the length of its nominal baseline, which images do not tell. Rectified images are 512×256,
-as in every report. Each stereo matcher and t have a table, depth.STEREO.T.csv, and their part of
-RESULTS/report.html.
+as in every report. What a matcher said of two images is kept in RESULTS/disparity, so that the same
+command goes on after an interruption. Each stereo matcher and t have a table, depth.STEREO.T.csv,
+and their part of RESULTS/report.html.
 """
 
 from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -27,12 +28,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from flowrect.depth import STEREO, load_stereo
+from flowrect.depth import STEREO, StereoMatcher, load_stereo
 from flowrect.depth.frame import DepthFrame, depth_frame
 from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, RangeError, matched
 from flowrect.drectify import Rectification, rectify
 from flowrect.evaluate import wh_of
-from flowrect.evaluation import one_page
+from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior
 from flowrect.evaluation.depth_report import (
     Counts,
@@ -41,6 +42,7 @@ from flowrect.evaluation.depth_report import (
     depth_report,
     depth_rows,
 )
+from flowrect.evaluation.kept_disparity import KeptDisparity
 from flowrect.evaluation.predictions import Prediction, file_name, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.sample import Pair
@@ -79,6 +81,10 @@ class DepthOptions:
     """as it was given to flowrect.evaluate"""
     pairs: int = 86
     """of those, evenly chosen"""
+
+
+Stereo = Callable[[DepthFrame], StereoMatcher]
+"""a stereo matcher that is told what frame the rectified pair lives in"""
 
 
 @dataclass
@@ -139,12 +145,14 @@ def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
         )
     pairs = delivery.open(truth_points=TRUTH_POINTS)
     tallies = {name: Tally() for name in (UNRECTIFIED, *rows, TRUTH)}
+    matcher = _stereo(options, stereo)
     chosen = evenly(options.pairs, len(pairs))
     shown = {chosen[k] for k in evenly(NUM_SHOWN, len(chosen))}
     for i in track(chosen, f"pairs, {stereo}"):
         pair = pairs[i].metric
         predicted = {method: of[i] for method, of in rows.items() if i in of}
-        found = _matched_by_all(tallies, pair, predicted, options, stereo)
+        found = _matched_by_all(tallies, pair, predicted, options.translation, matcher)
+        _require_sign(found[TRUTH], pair, stereo)
         for name, rectified in found.items():
             tallies[name].samples[i] = rectified.samples(pair)
             if i in shown:
@@ -160,24 +168,23 @@ def _matched_by_all(
     tallies: dict[str, Tally],
     pair: Pair,
     predicted: Mapping[str, Prediction],
-    options: DepthOptions,
-    stereo: str,
+    translation: Translation,
+    stereo: Stereo,
 ) -> dict[str, MatchedPair]:
     """The pair as each method rectifies it; failures are counted."""
-    T, T_prior = pair.T_right_left, prior(pair, options.translation)
+    T, T_prior = pair.T_right_left, prior(pair, translation)
     assert T is not None, "as delivered"
 
     def match(rect: Rectification, frame: DepthFrame) -> MatchedPair:
-        return matched_by(rect, frame, pair, stereo, options.nearest_m)
+        return matched(pair, rect, frame, stereo(frame))
 
     left_over = match(*rectified_by(T_prior[:3, :3], T_prior[:3, 3], pair))
     found = {UNRECTIFIED: left_over}
     for name, row in predicted.items():
-        own = _by_prediction(row, T_prior, pair, options.translation)
+        own = _by_prediction(row, T_prior, pair, translation)
         tallies[name].failed += own is None
         found[name] = match(*own) if own else left_over
     found[TRUTH] = match(*rectified_by(T[:3, :3], T[:3, 3], pair))
-    _require_sign(found[TRUTH], pair, stereo)
     return found
 
 
@@ -221,14 +228,17 @@ def rectified_by(R: Array, t: Array, window: Pair) -> tuple[Rectification, Depth
     return rect, depth_frame(rect, t_given)
 
 
-def matched_by(
-    rect: Rectification, frame: DepthFrame, window: Pair, stereo: str, nearest_m: float
-) -> MatchedPair:
-    """The rectified pair, matched by ``stereo``, a name or NAME=FILE."""
-    kind, _, weights = stereo.partition("=")
-    largest_px = frame.largest_disparity(nearest_m)
-    match = load_stereo(kind, largest_px=largest_px, weights=weights)
-    return matched(window, rect, frame, match)
+def _stereo(options: DepthOptions, name: str) -> Stereo:
+    """That of a name or NAME=FILE; what it says is kept among the results."""
+    kind, _, weights = name.partition("=")
+    made_by, folder = stamp.of_stereo(kind, weights), options.results / "disparity"
+
+    def of(frame: DepthFrame) -> StereoMatcher:
+        largest_px = frame.largest_disparity(options.nearest_m)
+        match = load_stereo(kind, largest_px=largest_px, weights=weights)
+        return KeptDisparity(match, f"{made_by} {largest_px}", folder / file_name(name))
+
+    return of
 
 
 # --- tables ------------------------------------------------------------------------------------
@@ -308,7 +318,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("interrupted: nothing is written of the stereo matcher at work.")
+        print(f"interrupted: the same command goes on from {options.results}.")
         return 130
     for name, why in lacking.items():
         print(f"{name}: {why}")

@@ -76,14 +76,21 @@ class Flows(NamedTuple):
 
 
 class _Correlation(CorrBlock):
-    """All correlations, in float32 whatever the precision of the network.
+    """Correlations with features of several sizes, in float32 whatever the network's precision.
 
     Half as precise they would be converted, all of them, each time that some are looked up.
+    Torchvision averages the correlations, which is the same: correlation is linear.
     """
 
     def build_pyramid(self, fmap1: Tensor, fmap2: Tensor) -> None:
         with torch.autocast(fmap1.device.type, enabled=False):
-            super().build_pyramid(fmap1.float(), fmap2.float())
+            right = fmap2.float()
+            left = fmap1.float().flatten(2).transpose(1, 2) / fmap1.shape[1] ** 0.5
+            self.corr_pyramid = []
+            for level in range(self.num_levels):
+                right = F.avg_pool2d(right, 2) if level else right
+                h, w = right.shape[-2:]
+                self.corr_pyramid.append((left @ right.flatten(2)).reshape(-1, 1, h, w))
 
 
 class FlowNetwork(nn.Module):

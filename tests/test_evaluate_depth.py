@@ -12,9 +12,9 @@ import pytest
 from planes import along_x, plane_pair, turned
 from tiny_network import road_set
 
-from flowrect.depth import STEREO, hitnet_weights
-from flowrect.depth_error import DepthSamples
-from flowrect.evaluate_depth import Tally, by_range, main, matched_by, rectified_by
+from flowrect.depth import STEREO, StereoMatcher, hitnet_weights, load_stereo
+from flowrect.depth_error import DepthSamples, matched
+from flowrect.evaluate_depth import Tally, by_range, main, rectified_by
 from flowrect.evaluation import one_page
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.depth_report import depth_rows
@@ -34,7 +34,9 @@ def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter():
     true, wrong = R[0].numpy(), (turned(y=0.4) @ R)[0].numpy()
     rows = []
     for rotation, scale in ((true, 1.0), (true, 7.0), (wrong, 1.0)):
-        found = matched_by(*rectified_by(rotation, scale * t[0].numpy(), window), window, "sgbm", 6)
+        rect, frame = rectified_by(rotation, scale * t[0].numpy(), window)
+        sgbm = load_stereo("sgbm", largest_px=frame.largest_disparity(6))
+        found = matched(window, rect, frame, sgbm)
         [row] = found.samples(window).by_range((0, 300))
         rows.append(row)
     assert rows[0].coverage > 0.8
@@ -91,6 +93,34 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     assert page.count("data:image/jpeg") == 2 * shown  # an overlay and depth
     assert page.count("<svg") == 2
     assert "failing (3 failed)" in page
+
+
+def test_an_interrupted_run_looks_at_no_pair_again(given, tmp_path, capsys, monkeypatch):
+    looked: list[int] = []
+    limit = 5
+
+    def flat(left, right):
+        if len(looked) == limit:
+            raise KeyboardInterrupt
+        looked.append(1)
+        return np.full(left.shape[:2], 1.0 + len(looked), np.float32)
+
+    monkeypatch.setitem(STEREO, "flat", lambda *_: flat)
+    monkeypatch.setattr("flowrect.evaluate_depth.track", lambda given, _: given)
+    assert main([*given, "--stereo", "flat"]) == 130
+    assert "the same command goes on" in capsys.readouterr().out
+    limit = 100
+    assert main([*given, "--stereo", "flat"]) == 0
+    times = len(looked)
+    files = list((tmp_path / "results" / "disparity" / "flat").iterdir())
+    assert times == len(files)  # each image pair once, in both runs together
+    files[0].write_bytes(b"cut off")
+    assert main([*given, "--stereo", "flat"]) == 0
+    assert len(looked) == times + 1
+    files[0].unlink()
+    monkeypatch.setattr("flowrect.evaluation.stamp.of_stereo", lambda *_: "other weights")
+    assert main([*given, "--stereo", "flat"]) == 0
+    assert len(looked) == 2 * times + 1
 
 
 def test_commands_share_one_page_and_each_replaces_its_own_part(tmp_path):
@@ -157,18 +187,18 @@ def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
 def test_negative_disparities_of_a_wrong_pose_are_answers_and_of_the_true_one_refused(
     given, tmp_path, monkeypatch, capsys
 ):
-    """Pose after pose, the unrectified pair first and the true one last."""
-    signs: list[float] = []
+    """The unrectified pair is looked at first, then the truly rectified one, once."""
+    given += ["--pairs", "1", "--stereo"]
 
-    def match(*_: object) -> np.ndarray:
-        return np.full(METRIC_WH[::-1], signs.pop(0), np.float32)
+    def answers(*disparities: float) -> StereoMatcher:
+        rest = iter(disparities)
+        return lambda *_: np.full(METRIC_WH[::-1], next(rest), np.float32)
 
-    monkeypatch.setitem(STEREO, "turned", lambda *_: match)
-    given += ["--stereo", "turned", "--pairs", "1"]
-    signs[:] = [-3.0, -3.0, -3.0, 3.0]  # unrectified, right, begun, truth: the others have no pose
-    assert main(given) == 0
-    signs[:] = [3.0, 3.0, 3.0, -3.0]
-    assert main(given) == 2
+    wrong, turned = answers(-3.0, 3.0), answers(3.0, -3.0)
+    monkeypatch.setitem(STEREO, "wrong", lambda *_: wrong)
+    monkeypatch.setitem(STEREO, "turned", lambda *_: turned)
+    assert main([*given, "wrong"]) == 0
+    assert main([*given, "turned"]) == 2
     assert re.search(r"turned: .* true pose, and most .* negative \(median -3.0 px\)",
                      capsys.readouterr().err)  # fmt: skip
 

@@ -256,6 +256,18 @@ def test_matches_are_the_features_correlation(weights):
     torch.testing.assert_close(correlation[0], expected, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("hw", [(16, 24), (19, 25)])
+def test_averaged_features_correlate_as_averaged_correlations_do(hw):
+    from torchvision.models.optical_flow.raft import CorrBlock
+
+    ours, theirs = flow_network._Correlation(radius=3), CorrBlock(radius=3)
+    features = torch.randn(2, 2, 32, *hw, generator=torch.Generator().manual_seed(0))
+    ours.build_pyramid(*features)
+    theirs.build_pyramid(*features)
+    for found, expected in zip(ours.corr_pyramid, theirs.corr_pyramid, strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
 def test_correlation_is_taught_where_the_right_end_lies(data):
     """Matches at the true feature, by the stored flow, cost least; if none is known, log(h·w)."""
     batch = batch_of(data, None, num=1)

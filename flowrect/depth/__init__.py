@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flowrect.depth import sgbm
-from flowrect.depth.external import onnx_matcher
-from flowrect.depth.hitnet_weights import hitnet_matcher
+from flowrect.depth.external import find_onnx, onnx_matcher
+from flowrect.depth.hitnet_weights import find_hitnet, hitnet_matcher
 from flowrect.sample import Image
 from simgen.errors import UserError
 
@@ -28,6 +29,8 @@ STEREO: dict[str, Callable[[float, str], StereoMatcher]] = {
     "onnx": lambda _, weights: onnx_matcher(weights),
 }
 """made of the largest disparity that can occur [px], and of weights where there are any"""
+WEIGHTS: dict[str, Callable[[str], Path]] = {"hitnet": find_hitnet, "onnx": find_onnx}
+"""the file that a matcher takes its weights from, of those that have any"""
 
 
 def load_stereo(name: str, *, largest_px: float, weights: str = "") -> StereoMatcher:

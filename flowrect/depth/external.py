@@ -72,8 +72,8 @@ class OnnxStereo:
         return disparity
 
 
-def onnx_matcher(weights: str = "") -> OnnxStereo:
-    """The network of an ONNX file; that of the variable FLOWRECT_STEREO_ONNX if none is named."""
+def find_onnx(weights: str = "") -> Path:
+    """The file of that name, else of FLOWRECT_STEREO_ONNX; UserError if there is none."""
     name = weights or os.environ.get(VARIABLE, "")
     if not Path(name).is_file():
         what = f"{name}: no such file" if name else "no file is named"
@@ -81,7 +81,13 @@ def onnx_matcher(weights: str = "") -> OnnxStereo:
             f"onnx stereo matcher: {what}. Export a network (DLNR, RAFT-Stereo, …) to ONNX as "
             f"flowrect/depth/external.py says, and name the file, or set {VARIABLE} to it."
         )
-    return OnnxStereo(_session(name), Path(name).name)
+    return Path(name)
+
+
+def onnx_matcher(weights: str = "") -> OnnxStereo:
+    """The network of an ONNX file, see ``find_onnx``."""
+    path = find_onnx(weights)
+    return OnnxStereo(_session(str(path)), path.name)
 
 
 @cache

@@ -71,14 +71,10 @@ def load_hitnet(path: Path) -> tuple[Hitnet, DepthCard]:
     return network.eval().requires_grad_(False), card
 
 
-def hitnet_matcher(
-    weights: str, largest_px: float
-) -> Callable[[Image, Image], NDArray[np.float32]]:
-    """The trained network as a stereo matcher.
+def find_hitnet(weights: str = "") -> Path:
+    """The file of that name, else of the variable FLOWRECT_HITNET, else what is shipped.
 
-    Args:
-      weights: a file; if empty that of the variable FLOWRECT_HITNET, or what is shipped.
-      largest_px: the largest disparity that can occur.
+    UserError if none is named or shipped.
     """
     shipped = SHIPPED / "hitnet.safetensors"
     name = weights or os.environ.get(VARIABLE, "") or (str(shipped) if shipped.is_file() else "")
@@ -87,10 +83,23 @@ def hitnet_matcher(
             f"hitnet: no weights are shipped. Train some with {HOW_TO_TRAIN}, and name the file, "
             f"or set {VARIABLE} to it."
         )
-    network = _loaded(Path(name))
+    return Path(name)
+
+
+def hitnet_matcher(
+    weights: str, largest_px: float
+) -> Callable[[Image, Image], NDArray[np.float32]]:
+    """The trained network as a stereo matcher.
+
+    Args:
+      weights: as for ``find_hitnet``.
+      largest_px: the largest disparity that can occur.
+    """
+    path = find_hitnet(weights)
+    network = _loaded(path)
     if largest_px > network.config.max_disparity:
         raise UserError(
-            f"{name} looks for disparities up to {network.config.max_disparity} px, but "
+            f"{path} looks for disparities up to {network.config.max_disparity} px, but "
             f"{largest_px:.0f} can occur. Take a greater nearest range, smaller images, or train "
             "with a greater --model.max-disparity."
         )

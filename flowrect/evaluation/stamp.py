@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
+from flowrect.depth import WEIGHTS
 from flowrect.methods import TRAINED, network_of
 from flowrect.weights import SHIPPED, find_weights
 
@@ -33,6 +34,12 @@ def of_matcher(name: str) -> str:
 def of_method(name: str) -> str:
     """Of everything that decides what a method says; UserError if its weights are gone."""
     return _digest([*_sources(_METHODS), *weights_of(name)])
+
+
+def of_stereo(name: str, weights: str = "") -> str:
+    """Of everything that decides which disparity a stereo matcher finds; see ``load_stereo``."""
+    files = [WEIGHTS[name](weights)] if name in WEIGHTS else []
+    return _digest([*_sources(["depth"]), *files])
 
 
 def weights_of(name: str) -> list[Path]:
