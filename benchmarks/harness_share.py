@@ -21,6 +21,8 @@ from pathlib import Path
 
 import tyro
 
+from simgen.errors import UserError
+
 
 @dataclass(frozen=True)
 class Options:
@@ -32,18 +34,25 @@ class Options:
     size: str = "1024x512"
     limit: int = 0
     """pairs; 0: all"""
+    out: Path | None = None
+    """a new folder, from which flowrect.evaluate may go on; without it nothing is kept"""
 
 
 def main(options: Options) -> None:
     """Prints the shares; one translation, so that nothing is matched once and counted twice."""
-    with tempfile.TemporaryDirectory() as folder:
+    if options.out is not None and options.out.exists():
+        raise UserError(
+            f"{options.out} exists; expected a new folder: what is there takes no time."
+        )
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.out or Path(scratch)
         start = time.perf_counter()
         command = ["--data", options.data, "--methods", options.method, "--translations", "nominal",
                    "--size", options.size, "--limit", options.limit, "--out", folder,
                    "--offsets", "sift-paper", "--flow-network", ""]  # fmt: skip
         subprocess.run([sys.executable, "-m", "flowrect.evaluate", *map(str, command)], check=True)
         whole = time.perf_counter() - start
-        with (Path(folder) / "scores.csv").open(newline="") as file:
+        with (folder / "scores.csv").open(newline="") as file:
             rows = [row for row in csv.DictReader(file) if row["method"] == options.method]
     own = sum(s for row in rows if math.isfinite(s := float(row["seconds"])))
     print(
