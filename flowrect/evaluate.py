@@ -89,14 +89,14 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
                       options.flow_network, options.matched_pairs, options.jobs)  # fmt: skip
     looks, blind = scoring.looks()
     for matcher, reason in blind.items():
-        console.print(f"[yellow]offsets by {matcher} left out:[/yellow] {reason}", soft_wrap=True)
+        _left_out(console, f"offsets by {matcher}", reason)
     predictions_of(options.out, delivery.open().fingerprint)  # raises now if some are stale
     run = Run(delivery, options.methods, options.translations, options.out,
               options.time_limit_s, options.jobs)  # fmt: skip
     with _Progress(console, "predicting") as progress:
         left_out = predict(run, progress)
     for method, reason in left_out.items():
-        console.print(f"[yellow]{method} left out:[/yellow] {reason}", soft_wrap=True)
+        _left_out(console, method, reason)
     rows = predictions_of(options.out, delivery.open().fingerprint)
     unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
     with _Progress(console, "scoring") as progress:
@@ -107,6 +107,10 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     sources = one_page.Sources.of(delivery.open().fingerprint, (method for method, _ in rows))
     one_page.put(options.out, one_page.FIRST, sections, sources)
     return scores
+
+
+def _left_out(console: Console, what: str, reason: str) -> None:
+    console.print(f"[yellow]{escape(what)} left out:[/yellow] {escape(reason)}", soft_wrap=True)
 
 
 def _kept(path: Path, left_out: dict[str, str], there: Collection[str]) -> dict[str, str]:
@@ -188,7 +192,7 @@ def shown(scores: Sequence[Score], translation: str) -> Table:
     for method, group in tables.groups_of(scores, translation).items():
         found = (tables.summary(group, f) for f in figures)
         cells = ["–" if s is None else f"{s.mean:.3f} / {s.median:.3f}" for s in found]
-        table.add_row(method, *cells, str(tables.failures(group)))
+        table.add_row(escape(method), *cells, str(tables.failures(group)))
     return table
 
 
@@ -202,13 +206,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        console.print(f"interrupted: the same command goes on from {options.out}.", soft_wrap=True)
+        console.print(
+            f"interrupted: the same command goes on from {options.out}.",
+            soft_wrap=True,
+            markup=False,
+        )
         return 130
     for translation in options.translations:
         console.print(shown(scores, translation))
     console.print(
-        f"written: {options.out}/report.html, tables.md, summary.csv, scores.csv", soft_wrap=True
-    )
+        f"written: {options.out}/report.html, tables.md, summary.csv, scores.csv",
+        soft_wrap=True, markup=False,
+    )  # fmt: skip
     return 0
 
 

@@ -25,6 +25,7 @@ import torch
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
@@ -148,7 +149,7 @@ def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
     matcher = _stereo(options, stereo)
     chosen = evenly(options.pairs, len(pairs))
     shown = {chosen[k] for k in evenly(NUM_SHOWN, len(chosen))}
-    for i in track(chosen, f"pairs, {stereo}"):
+    for i in track(chosen, escape(f"pairs, {stereo}")):
         pair = pairs[i].metric
         predicted = {method: of[i] for method, of in rows.items() if i in of}
         found = _matched_by_all(tallies, pair, predicted, options.translation, matcher)
@@ -284,9 +285,9 @@ def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
 def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
     """MAE and median [m] of pixels that all answered, and each method's own coverage, by range."""
     columns = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
-    result = Table("", *columns, "mean MAE", title=title)
+    result = Table("", *columns, "mean MAE", title=escape(title))
     for row in depth_rows(ranges, counts):
-        result.add_row(*row)
+        result.add_row(*map(escape, row))
     return result
 
 

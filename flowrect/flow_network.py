@@ -62,6 +62,8 @@ class FlowCard:
     magnify: float = 1.0
     updates: int = UPDATES
     """see ``FlowNetwork``"""
+    hours: float = 0.0
+    """of training, of all runs that led here; 0: not known"""
 
 
 class Flows(NamedTuple):
@@ -182,7 +184,7 @@ def load_flow(name: str, magnify: float | None = None, updates: int | None = Non
     Raises:
       UserError: there are no such weights, or they are not RAFT's.
     """
-    state = _fetched(name) if name in TORCHVISION else _state_of_file(_find(name))
+    state = _fetched(name) if name in TORCHVISION else _state_of_file(find_flow(name))
     size: Size = "large" if any(k.startswith("mask_predictor.") for k in state) else "small"
     card = card_of(name)
     magnify = card.magnify if magnify is None else magnify
@@ -196,7 +198,7 @@ def load_flow(name: str, magnify: float | None = None, updates: int | None = Non
 
 def card_of(name: str) -> FlowCard:
     """What is known of weights that ``load_flow`` takes: nothing of torchvision's."""
-    path = None if name in TORCHVISION else _find(name)
+    path = None if name in TORCHVISION else find_flow(name)
     return read_card(path) if path and path.suffix == ".safetensors" else FlowCard()
 
 
@@ -217,7 +219,8 @@ def read_card(path: Path) -> FlowCard:
         ) from error
 
 
-def _find(name: str) -> Path:
+def find_flow(name: str) -> Path:
+    """The file of that name, or the shipped one; UserError if there is neither."""
     for path in (Path(name), SHIPPED / f"{name}.safetensors"):
         if path.is_file():
             return path

@@ -21,7 +21,7 @@ from typing import Protocol
 import numpy as np
 
 from flowrect.estimate import Calibrator, load_model
-from flowrect.matchers import LEARNED, MATCHERS, load_matcher
+from flowrect.matchers import LEARNED, MATCHERS, PARTS, load_matcher
 from flowrect.matches import Matches
 from flowrect.rivals.config import RIVALS, SharedConfig
 from flowrect.sample import Image
@@ -205,7 +205,10 @@ _POINTS = tuple(m for m in LEARNED if m != "raft")
 _ROBUST = ("loransac-paper", "magsac-paper", "loransac", "magsac", "5dof")
 TABLE = (
     *(f"sift-paper+{s}-paper" for s in ("loransac", "usac", "magsac")),
+    "sift-paper+loransac",  # what the settings of the matcher alone, and
+    "sift+loransac-paper",  # those of the solver alone, explain
     *(f"sift+{s}" for s in ("loransac", "usac", "magsac", "3dof", "5dof")),
+    f"{REFINED_BY}+5dof",  # network+5dof without its network
     *(f"{m}+{s}" for m in _POINTS for s in _ROBUST),
     *(f"{m}+{s}" for m in ("dis", "raft") for s in ("3dof", "5dof")),
     *TRAINED,
@@ -228,11 +231,18 @@ def load_method(name: str) -> Method:
 
 
 def training_of(name: str) -> str:
-    """What the network that a method asks sees, and its hours; "–" where there is none."""
+    """What the networks that were trained here for a method see, and their hours; "–": none."""
     method = load_method(name)
+    trained_here = []
     network = method.start if isinstance(method, FromMatches) else method
-    if not isinstance(network, Network):
-        return "–"
-    config, hours = network.model.network.config, network.model.card.hours
-    w, h = config.network_wh if isinstance(config, SharedConfig) else config.input_wh
-    return f"{w}×{h}" + (f", {hours:.1f} h" if hours else "")
+    if isinstance(network, Network):
+        config, hours = network.model.network.config, network.model.card.hours
+        w, h = config.network_wh if isinstance(config, SharedConfig) else config.input_wh
+        trained_here.append(f"{w}×{h}" + (f", {hours:.1f} h" if hours else ""))
+    if isinstance(method, FromMatches) and "raft" in PARTS.get(method.matcher, (method.matcher,)):
+        from flowrect.flow_network import card_of  # needs torchvision, 2 s of every start
+        from flowrect.matchers.raft import weights
+
+        hours = card_of(weights()).hours
+        trained_here.append(f"as delivered{f', {hours:.1f} h' if hours else ''}")
+    return "; ".join(trained_here) or "–"

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 
 from flowrect.calibration import Calibration, Projections, projections
@@ -318,13 +319,14 @@ def run(options: RectifyOptions, console: Console) -> int:
                     lacks = write_result(folder, result)
             except (UserError, ValueError, ArithmeticError, cv2.error) as error:
                 failed += 1
-                console.print(f"[red]{pair.name} failed:[/red] {error}", soft_wrap=True)
+                failure = f"[red]{escape(pair.name)} failed:[/red] {escape(str(error))}"
+                console.print(failure, soft_wrap=True)
                 continue
             _say(console, result.quality, lacks)
     finally:
         write_summary(options.out)
     summary = f"rectified: {len(todo) - failed} of {len(todo)} pairs, in {options.out}"
-    console.print(summary, soft_wrap=True)
+    console.print(summary, soft_wrap=True, markup=False)
     return failed
 
 
@@ -346,10 +348,10 @@ def _say(console: Console, quality: Quality, lacks: Sequence[str]) -> None:
     console.print(
         f"{quality.name}: turned by {_axes(quality)}; median vertical disparity of "
         f"{quality.num_sift_matches} SIFT matches: {checked}",
-        soft_wrap=True,
-    )
+        soft_wrap=True, markup=False,
+    )  # fmt: skip
     for note in (*quality.notes, *lacks):
-        console.print(f"  [yellow]note:[/yellow] {note}", soft_wrap=True)
+        console.print(f"  [yellow]note:[/yellow] {escape(note)}", soft_wrap=True)
 
 
 def _px(median_px: float | None) -> str:
@@ -373,8 +375,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         console.print(
             f"interrupted: what is in {options.out} is complete. Go on with --existing keep.",
-            soft_wrap=True,
-        )
+            soft_wrap=True, markup=False,
+        )  # fmt: skip
         return 130
 
 

@@ -102,7 +102,8 @@ class DepthTask:
     def save(self, path: Path, seen: loop.Seen) -> None:
         """Writes the weights with their card."""
         samples = self._before.samples + seen.samples
-        save_hitnet(path, self.model, DepthCard(samples, str(self.options.data.name)))
+        hours = round(self._before.hours + seen.hours, 2)
+        save_hitnet(path, self.model, DepthCard(samples, self.options.data.name, hours))
 
 
 def train_depth(options: DepthOptions) -> dict[str, float]:

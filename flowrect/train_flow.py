@@ -252,7 +252,8 @@ class FlowTask:
         """Writes the weights with their card."""
         samples = self._before.samples + seen.samples
         data, model = str(self.options.data.name), self.model
-        save_flow(path, model, FlowCard(samples, data, model.magnify, model.updates))
+        hours = round(self._before.hours + seen.hours, 2)
+        save_flow(path, model, FlowCard(samples, data, model.magnify, model.updates, hours))
 
 
 def as_initial(options: FlowOptions) -> FlowOptions:

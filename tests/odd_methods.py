@@ -7,7 +7,9 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+import cv2
 import numpy as np
+import torch
 
 from flowrect.methods import Method, PoseEstimate, unrectified
 from flowrect.sample import Image
@@ -22,6 +24,15 @@ def _no_pose() -> PoseEstimate:
     return PoseEstimate(np.full((3, 3), np.nan), np.ones(3))
 
 
+def _mirrored() -> PoseEstimate:
+    return PoseEstimate(np.diag([1.0, 1.0, -1.0]), np.ones(3))
+
+
+def _too_large() -> PoseEstimate:
+    torch.empty(2**50)
+    raise AssertionError("a petabyte of memory")
+
+
 def _disk_is_full() -> PoseEstimate:
     raise OSError("no space left")
 
@@ -34,6 +45,9 @@ def _sleeps() -> PoseEstimate:
 _DEEDS: dict[str, Callable[[], PoseEstimate]] = {
     "raises": _raises,
     "no-pose": _no_pose,
+    "mirrored": _mirrored,
+    "too-large": _too_large,
+    "too-large-for-opencv": lambda: cv2.resize(np.zeros((1, 1), np.uint8), (2**30, 2**30)),
     "disk-is-full": _disk_is_full,
     "dies": lambda: os._exit(3),
     "sleeps": _sleeps,
@@ -41,6 +55,9 @@ _DEEDS: dict[str, Callable[[], PoseEstimate]] = {
 SAID = {
     "raises": "^ZeroDivisionError: no baseline",
     "no-pose": "^its answer is no pose",
+    "mirrored": "^its answer is no pose",
+    "too-large": "^fault of the machine: RuntimeError: .*allocate memory",
+    "too-large-for-opencv": "^fault of the machine: error: .*Insufficient memory",
     "disk-is-full": "^fault of the machine: OSError: no space left",
     "dies": "^fault of the machine: its process died",
     "sleeps": "^took longer than 2 s and was stopped",

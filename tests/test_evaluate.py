@@ -27,6 +27,7 @@ from test_rectify import K, photograph
 from tiny_network import TINY_PAPER, network, road_set
 
 from flowrect import evaluate as command
+from flowrect import flow_network
 from flowrect.calibration import Calibration
 from flowrect.config import SMALL
 from flowrect.evaluate import EvaluateOptions, evaluate, main
@@ -338,7 +339,7 @@ def test_all_methods_see_a_pair_in_one_process(wall, tmp_path, monkeypatch):
     class Pool(nullcontext):
         """Answers at once, as a process would, and says who was asked."""
 
-        def __init__(self, max_workers: int, context: object) -> None:
+        def __init__(self, max_workers: int, **_: object) -> None:
             super().__init__(self)
             assert max_workers == 1
 
@@ -613,14 +614,15 @@ def test_two_processes_score_as_one_does(wall, scores, tmp_path, worst):
 
 def test_offsets_by_what_cannot_run_are_left_out_and_said(wall, tmp_path, monkeypatch):
     def absent() -> None:
-        raise UserError("it needs weights.")
+        raise UserError("pip install 'flowrect[matchers]', or [/look/elsewhere].")
 
     monkeypatch.setitem(MATCHERS, "aliked", absent)
     options = EvaluateOptions(wall, ("sift+5dof",), size="256x128", turn_deg=1.0, limit=1,
                               translations=("nominal",), flow_network="", out=tmp_path)  # fmt: skip
     said = io.StringIO()
     found = evaluate(options, Console(file=said, width=200))
-    assert "offsets by aliked left out: it needs weights." in said.getvalue()
+    said_of_aliked = "aliked left out: pip install 'flowrect[matchers]', or [/look/elsewhere]."
+    assert said_of_aliked in said.getvalue()
     assert {n for n in found[0].figures if "offset" in n} == {
         "sift_offset_px", "sift_offset_median_px",
     }  # fmt: skip
@@ -687,7 +689,7 @@ def test_shipped_weights_of_a_rival_are_part_of_its_stamp(tmp_path, monkeypatch)
 
 def test_weights_of_raft_are_part_of_the_stamp_of_its_matches_alone(tmp_path, monkeypatch):
     (tmp_path / "raft.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(stamp, "SHIPPED", tmp_path)
+    monkeypatch.setattr(flow_network, "SHIPPED", tmp_path)
     for known, others in ((stamp.of_matcher, "dis"), (stamp.of_method, "sift+5dof")):
         name = others.replace("dis", "raft").replace("sift", "raft")
         before = known.__wrapped__(name), known.__wrapped__(others)
@@ -695,13 +697,32 @@ def test_weights_of_raft_are_part_of_the_stamp_of_its_matches_alone(tmp_path, mo
         after = known.__wrapped__(name), known.__wrapped__(others)
         assert after[0] != before[0]
         assert after[1] == before[1]
+        (tmp_path / "raft").mkdir(exist_ok=True)  # what the user brought comes first
+        (tmp_path / "raft" / "own.safetensors").write_bytes(b"others")
+        monkeypatch.setenv("FLOWRECT_MODELS", str(tmp_path))
+        assert known.__wrapped__(name) != after[0]
+        monkeypatch.delenv("FLOWRECT_MODELS")
+
+
+def test_the_code_of_one_matcher_is_in_the_stamp_of_no_other():
+    assert len({stamp.of_matcher(name) for name in ("sift", "dis", "sift-dis", "raft")}) == 4
+    assert stamp._own("network+5dof") == stamp._own("sift-dis+5dof") == [
+        "matchers/sift.py", "matchers/dis.py"
+    ]  # fmt: skip
+    assert stamp._own("sift-paper+loransac") == ["matchers/sift.py"]
+    assert stamp._own("rpnet") == stamp._own("unrectified") == []
+    every = [*stamp._METHODS, *(f for name in MATCHERS for f in stamp._own(name))]
+    assert all(path.is_file() for path in stamp._sources(every))
+    files = {path.name for path in Path(stamp._PACKAGE, "matchers").glob("*.py")}
+    assert files <= {path.name for path in stamp._sources(every)}
 
 
 def test_the_default_is_the_whole_table():
     methods = EvaluateOptions(Path()).methods
     assert methods == TABLE
     assert set(TABLE) <= set(METHODS)
-    for row in ("sift-paper+loransac-paper", "sift+usac", "sift-paper+usac-paper",
+    for row in ("sift-paper+loransac-paper", "sift-paper+loransac", "sift+loransac-paper",
+                "sift+usac", "sift-dis+5dof", "sift-paper+usac-paper",
                 "superglue+magsac", "aliked+magsac-paper", "aliked+5dof", "dis+3dof", "raft+5dof",
                 "rpnet", "directionnet", "vitpose", "small-without-flow",
                 "network+5dof"):  # fmt: skip
@@ -716,6 +737,8 @@ def test_training_of_a_rival_names_the_size_that_its_images_are_squeezed_to(monk
     monkeypatch.setitem(METHODS, "vitpose", lambda: Network(model))
     assert training_of("vitpose") == "256×128, 2.0 h"
     assert training_of("network").startswith("{}×{}".format(*SMALL.input_wh))
+    assert re.fullmatch(r"as delivered, \d\.\d h", training_of("raft+5dof"))
+    assert training_of("sift-dis+5dof") == "–"
 
 
 def test_a_path_of_weights_may_have_a_plus(tmp_path):
@@ -759,6 +782,15 @@ def test_what_cannot_be_evaluated_is_said(more, message, data, tmp_path, capsys)
 def test_pairs_without_a_true_pose_are_refused(wall):
     with pytest.raises(UserError, match="its true pose is not known; expected rendered pairs"):
         Delivery(wall, "all", (256, 128)).open()[0]
+
+
+def test_pairs_whose_prior_is_the_truth_are_refused(wall):
+    """Rectified pairs that nobody turned, as KITTI's are: not rectifying them would win."""
+    delivered = Delivery(wall, "all", (256, 128), turn_deg=1.0).open()
+    pair = delivered[0].input
+    told = replace(pair, T_right_left=pair.T_right_left_nominal)
+    with pytest.raises(UserError, match="whoever does nothing is right. Take --turn-deg"):
+        Delivered(Delivery(wall, "all", (256, 128)), [told], [0])[0]
 
 
 def test_ctrl_c_says_that_the_same_command_goes_on(data, tmp_path, monkeypatch, capsys):

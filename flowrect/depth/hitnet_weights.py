@@ -35,6 +35,8 @@ class DepthCard:
     """pairs seen in training"""
     data: str = ""
     """what they were trained on"""
+    hours: float = 0.0
+    """of training; 0: not known"""
 
 
 def save_hitnet(path: Path, network: Hitnet, card: DepthCard) -> None:

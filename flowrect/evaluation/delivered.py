@@ -71,6 +71,11 @@ class Delivered(Sequence[Prepared]):
                 f"{pair.name}: its true pose is not known; expected rendered pairs, or rectified "
                 "ones with --turn-deg, which turns their cameras by known angles."
             )
+        if np.array_equal(prepared.input.T_right_left, prepared.input.T_right_left_nominal):
+            raise UserError(
+                f"{pair.name}: its true pose is the one that methods are told, so that whoever "
+                "does nothing is right. Take --turn-deg, which turns the cameras by known angles."
+            )
         return prepared
 
     @property

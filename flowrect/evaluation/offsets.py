@@ -122,7 +122,7 @@ class VerticalFlow:
 
         network = load_flow(name)
         weights = (x.numpy() for x in network.state_dict().values())
-        by = f"{stamp.of_matcher('raft')} {network.magnify} {network.updates} bf16"
+        by = f"{stamp.of_flow()} {network.magnify} {network.updates} bf16"
         return VerticalFlow(network.flow, digest(by.encode(), *weights), Memory(path))
 
     def figures(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import multiprocessing
+import os
 import platform
 import time
 import zipfile
@@ -75,6 +76,8 @@ class _File:
     origin: Origin
     translation: Translation
     rows: dict[int, Prediction]
+    changed: bool = False
+    """since it was written"""
 
     @property
     def method(self) -> str:
@@ -102,7 +105,7 @@ def predict(
     written = time.monotonic()
     try:
         for file, row in _predicted(run, pairs.fingerprint, todo, unavailable, load):
-            file.rows[row.index] = row
+            file.rows[row.index], file.changed = row, True
             done += 1
             report(done, of)
             if time.monotonic() - written > FLUSH_S:
@@ -135,8 +138,9 @@ def _to_be_tried_again(row: Prediction, time_limit_s: float) -> bool:
 
 def _flush(files: Sequence[_File]) -> None:
     for file in files:
-        if file.rows:
+        if file.changed:
             predictions.write(file.path, file.rows.values(), file.origin)
+            file.changed = False
 
 
 @dataclass
@@ -168,24 +172,33 @@ def _predicted(
     context = fork_server()
     with ExitStack() as stack:
         for _ in range(run.jobs):
-            pool = stack.enter_context(ProcessPool(max_workers=1, context=context))
+            pool = stack.enter_context(ProcessPool(
+                max_workers=1, context=context, initializer=share_cores, initargs=[run.jobs]
+            ))  # fmt: skip
             stack.push(partial(stop_if_interrupted, pool))
             go_on(_Lane(pool))
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 i, file, lane = running.pop(future)
                 row = _settled(future, i, run.time_limit_s)
+                if isinstance(row, str):
+                    unavailable[file.method] = row
+                go_on(lane)  # before whoever takes the row does anything with it
                 if isinstance(row, Prediction):
                     yield file, row
-                else:
-                    unavailable[file.method] = row
-                go_on(lane)
 
 
 def stop_if_interrupted(pool: ProcessPool, error: object, *_: object) -> None:
     """A pool that is left by an error would wait for its task, however long that takes."""
     if error is not None:
         pool.stop()
+
+
+def share_cores(jobs: int) -> None:
+    """Called in one of so many processes: torch and OpenCV take its share of the cores."""
+    threads = max(1, min(torch.get_num_threads(), (os.cpu_count() or 1) // jobs))
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
 
 
 def fork_server() -> BaseContext:
@@ -233,10 +246,18 @@ def _predict_one(
         return row(None, str(error), num_matches=error.num_matches, seconds=error.seconds)
     except UserError as error:
         return row(None, str(error))
-    except (OSError, MemoryError) as error:
-        return row(None, f"{FAULT}: {type(error).__name__}: {error}")
-    except Exception as error:  # whatever it is, it is this method's failure on this pair
-        return row(None, f"{type(error).__name__}: {error}")
+    except Exception as error:  # whatever else it is, it is this method's failure on this pair
+        what = f"{type(error).__name__}: {error}"
+        return row(None, f"{FAULT}: {what}" if _is_fault(error) else what)
+
+
+def _is_fault(error: Exception) -> bool:
+    """Whether the machine is to blame; torch and OpenCV have their own ways of lacking memory."""
+    if isinstance(error, RuntimeError):
+        return "allocate memory" in str(error) or isinstance(error, torch.OutOfMemoryError)
+    if isinstance(error, cv2.error):
+        return error.code == cv2.Error.StsNoMem
+    return isinstance(error, OSError | MemoryError)
 
 
 def _made_on() -> str:
@@ -247,7 +268,7 @@ def _made_on() -> str:
 def _require_pose(estimate: PoseEstimate) -> None:
     R, t = estimate.R, estimate.t
     if not (np.isfinite(R).all() and np.isfinite(t).all() and np.any(t)
-            and np.allclose(R @ R.T, np.eye(3), atol=1e-6)):  # fmt: skip
+            and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0):  # fmt: skip
         raise NoSolution(f"its answer is no pose: R =\n{R}\nt = {t}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
@@ -10,12 +9,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-import torch
 from pebble import ProcessExpired, ProcessPool
 
 from flowrect.evaluation.delivered import Delivery, Translation, evenly
 from flowrect.evaluation.offsets import Look, Memory, Offsets, VerticalFlow
-from flowrect.evaluation.predict import Report, fork_server, stop_if_interrupted
+from flowrect.evaluation.predict import Report, fork_server, share_cores, stop_if_interrupted
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.scores import Score, scored
 from flowrect.matchers import MATCHERS, load_matcher
@@ -104,7 +102,9 @@ def _by_pair(scoring: Scoring, looks: Sequence[Look], num_pairs: int) -> Iterato
     names = tuple(x.name for x in looks if isinstance(x, Offsets))
     known = replace(scoring, offsets=tuple(n for n in scoring.offsets if _column(n) in names))
     with ExitStack() as stack:
-        pool = stack.enter_context(ProcessPool(scoring.jobs, context=fork_server()))
+        pool = stack.enter_context(ProcessPool(
+            scoring.jobs, context=fork_server(), initializer=share_cores, initargs=[scoring.jobs]
+        ))  # fmt: skip
         stack.push(partial(stop_if_interrupted, pool))
         tasks = [pool.schedule(_score, args=[known, i]) for i in range(num_pairs)]
         for i, task in enumerate(tasks):
@@ -136,7 +136,6 @@ def _column(matcher: str) -> str:
 
 @lru_cache(maxsize=1)
 def _scorer(scoring: Scoring) -> Scorer:
-    torch.set_num_threads(max(1, (os.cpu_count() or 1) // scoring.jobs))
     looks, lacking = scoring.looks()
     if lacking:  # the command could load them: another column would be without this pair
         raise UserError(f"a scoring process could not load {lacking}; take fewer --jobs.")

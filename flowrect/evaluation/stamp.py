@@ -1,8 +1,9 @@
-"""What made a prediction: a digest of the code and the weights behind it.
+"""What made a prediction: a digest of the code, the packages and the weights behind it.
 
 A file whose stamp is another one was made by other settings, another version or other weights, and
-is not taken for the present method's. Weights that a matcher finds through ``FLOWRECT_MODELS``, or
-in the cache of a hub, are not part of it: use another output folder for others.
+is not taken for the present method's. Weights that a matcher but ``raft`` finds through
+``FLOWRECT_MODELS``, or in the cache of a hub, are not part of it: use another output folder for
+others.
 """
 
 from __future__ import annotations
@@ -10,30 +11,43 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from flowrect.depth import WEIGHTS
-from flowrect.methods import TRAINED, network_of
+from flowrect.matchers import PARTS
+from flowrect.methods import REFINED_BY, TRAINED, network_of
 from flowrect.weights import SHIPPED, find_weights
 
 _PACKAGE = Path(__file__).parents[1]
-_MATCHING = ("matches.py", "matchers", "flow_network.py", "sample.py", "resize.py", "turn.py",
-             "evaluation/delivered.py")  # fmt: skip
-"""matchers, and what hands them their images"""
+_PAIRS = ("sources", "files.py", "calibration.py", "sample.py", "resize.py", "turn.py",
+          "evaluation/delivered.py", "../simgen/geometry.py")  # fmt: skip
+"""what hands a method its pairs"""
+_MATCHING = (*_PAIRS, "matches.py", "matchers/__init__.py", "matchers/_hub.py",
+             "matchers/_images.py", "matchers/_lightglue.py", "matchers/_weights.py")  # fmt: skip
+"""beside a matcher's own file"""
 _METHODS = (*_MATCHING, "solvers", "rivals", "methods.py", "estimate.py", "model.py", "weights.py",
-            "drectify.py", "geometry.py", "least_squares.py")  # fmt: skip
+            "config.py", "drectify.py", "geometry.py", "least_squares.py")  # fmt: skip
+"""beside a method's matchers"""
+_PACKAGES = ("numpy", "scipy", "opencv-python-headless", "poselib", "kornia", "torch")
 
 
 @cache
 def of_matcher(name: str) -> str:
-    """Of everything that decides which matches a matcher finds."""
-    return _digest([*_sources(_MATCHING), *weights_of(name)])
+    """Of everything that decides which matches a matcher finds; UserError if weights are gone."""
+    return _digest([*_sources([*_MATCHING, *_own(name)]), *weights_of(name)])
 
 
 @cache
 def of_method(name: str) -> str:
     """Of everything that decides what a method says; UserError if its weights are gone."""
-    return _digest([*_sources(_METHODS), *weights_of(name)])
+    return _digest([*_sources([*_METHODS, *_own(name)]), *weights_of(name)])
+
+
+@cache
+def of_flow() -> str:
+    """Of the code that flow by RAFT comes from."""
+    return _digest(_sources(["flow_network.py"]))
 
 
 def of_stereo(name: str, weights: str = "") -> str:
@@ -43,12 +57,25 @@ def of_stereo(name: str, weights: str = "") -> str:
 
 
 def weights_of(name: str) -> list[Path]:
-    """The file of the network of a method or matcher that was trained here, if it is shipped."""
+    """The file of the network of a method or matcher that was trained here, if there is one."""
     if name.startswith("network"):
         return [find_weights(network_of(name)[0])]
     network = name.partition("+")[0]
+    if network == "raft":
+        from flowrect.flow_network import find_flow  # needs torchvision, 2 s of every start
+        from flowrect.matchers import raft
+
+        return [find_flow(raft.weights())]
     path = SHIPPED / f"{network}.safetensors"
-    return [path] if network in (*TRAINED, "raft") and path.is_file() else []
+    return [path] if network in TRAINED and path.is_file() else []
+
+
+def _own(name: str) -> list[str]:
+    """The files of the matchers that a method or matcher of this name asks."""
+    matcher = REFINED_BY if name.startswith("network") else name.partition("+")[0]
+    names = [part.removesuffix("-paper") for part in PARTS.get(matcher, (matcher,))]
+    found = [f"matchers/{n}.py" for n in names if (_PACKAGE / f"matchers/{n}.py").is_file()]
+    return [*found, "matchers/dis.py", "flow_network.py"] if "raft" in names else found
 
 
 def _sources(names: Iterable[str]) -> list[Path]:
@@ -57,4 +84,17 @@ def _sources(names: Iterable[str]) -> list[Path]:
 
 
 def _digest(paths: Iterable[Path]) -> str:
-    return hashlib.sha256(b"\n".join(path.read_bytes() for path in paths)).hexdigest()[:16]
+    parts = [_versions().encode(), *(path.read_bytes() for path in paths)]
+    return hashlib.sha256(b"\n".join(parts)).hexdigest()[:16]
+
+
+@cache
+def _versions() -> str:
+    return " ".join(f"{name} {_version(name)}" for name in _PACKAGES)
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

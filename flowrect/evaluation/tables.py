@@ -201,8 +201,14 @@ def main_rows(
     cells = columns(figures or figure_names(scores))
     rows = [[m, trained.get(g[0].method, "–"), *(cell(g) for cell in cells.values())]
             for m, g in groups_of(scores, translation).items()]  # fmt: skip
-    rows += [[m, f"no weights: {why}", *[""] * len(cells)] for m, why in unavailable.items()]
+    rows += [[m, _reason(why), *[""] * len(cells)] for m, why in unavailable.items()]
     return ["method", "trained", *cells], rows
+
+
+def _reason(why: str) -> str:
+    """In one line; whatever cannot be loaded says so itself."""
+    line = " ".join(why.split())
+    return line if line.startswith("it cannot") else f"no weights: {line}"
 
 
 def main_table(

@@ -1,8 +1,8 @@
 """Dense optical flow by RAFT (Teed and Deng, ECCV 2020).
 
 A point counts as matched if the flow back from where it went returns to it. The weights are those
-that the user brought, of ``flowrect.train_flow`` or torchvision's (BSD-3-Clause), else those in the
-cache of torch.hub, else the shipped ones.
+that the user brought, of ``flowrect.train_flow`` or torchvision's (BSD-3-Clause), else the shipped
+ones.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flowrect.matchers._images import (
     shrunk,
     tensor_of,
 )
-from flowrect.matchers._weights import Published, cached_file
+from flowrect.matchers._weights import Published
 from flowrect.matchers.dis import TUNED, consistent, worth
 from flowrect.matches import Matcher, Matches
 from flowrect.sample import Image
@@ -40,11 +40,15 @@ CYCLE_PX = 1.0
 WORTH = TUNED.worth
 
 
+def weights() -> str:
+    """What ``load_flow`` is asked for; UserError if what was brought is not one file of weights."""
+    return str(BROUGHT.file(".safetensors", ".pth") or "raft")
+
+
 @cache
 def load() -> Matcher:
-    """The matcher; UserError if what was brought is not one file of such weights."""
-    path = BROUGHT.file(".safetensors", ".pth") or cached_file("raft_small_C_T_V2-01064c6d.pth")
-    return partial(_match, net=load_flow(str(path or "raft")))
+    """The matcher; UserError if there are no such weights."""
+    return partial(_match, net=load_flow(weights()))
 
 
 @torch.inference_mode()
