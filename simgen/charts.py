@@ -157,6 +157,14 @@ def legend_above(axes: Axes, num_columns: int) -> None:
     )  # fmt: skip
 
 
+def legend_beside(axes: Axes) -> None:
+    """A legend of many names, to the right of the data."""
+    axes.legend(
+        loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False, fontsize=8.5,
+        labelcolor=_INK, handlelength=1.2, handletextpad=0.5, labelspacing=0.3, borderpad=0.2,
+    )  # fmt: skip
+
+
 def _shares(counts: ArrayLike) -> Array:
     values = np.asarray(counts, dtype=np.float64)
     return values / max(1.0, float(values.sum()))

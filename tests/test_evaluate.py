@@ -393,6 +393,25 @@ def test_pictures_have_one_column_a_method_and_a_gap_where_one_lacks():
     assert "<i>am</i><i>an</i><div></div><i>bn</i>" in html
 
 
+def test_charts_of_the_whole_table_are_drawn_in_full(scores):
+    """Matplotlib warns, which is an error here, where a legend leaves no room for the data."""
+    [*_, known] = [s for s in scores if s.method == "sift+5dof"]
+    every = [replace(known, method=m, num_matches=9) for m in (*TABLE, "network=a/b/c.safetensors")]
+    pair = SimpleNamespace(input=SimpleNamespace(K_left=np.eye(3), wh=(4, 2)))
+    html = report._charts(every, [pair])
+    shown = {m.partition("+")[0] for m in TABLE}
+    assert f"Charts show {len(shown) + 1} of {len(every)} methods" in html
+    assert all(f">{family}" in html for family in ("aliked", "raft", "rpnet", "network=a/b"))
+
+
+def test_a_chart_has_the_best_method_of_each_matcher_and_unlike_names():
+    errors = {"unrectified": 1.0, "a+x": 0.3, "a+y": 0.2, "b+x": 0.5, "a-paper+x": 9.0}
+    assert drawing.best_of_each(errors) == ["unrectified", "a+y", "b+x", "a-paper+x"]
+    paths = [f"network=runs/{name}-and-so-on-and-on/last.safetensors" for name in "ab"]
+    assert list(drawing.labels(["sift+5dof", *paths]).values()) == ["sift+5dof", *paths]
+    assert drawing.labels(paths[:1])[paths[0]] == "…" + paths[0][-27:]
+
+
 def test_offsets_name_their_pairs_and_count_those_without_a_match(scores):
     some = [replace(s, figures=s.figures | {"sift_offset_px": np.nan}) if s.index == 1 else s
             for s in scores]  # fmt: skip
@@ -789,7 +808,7 @@ def test_pairs_whose_prior_is_the_truth_are_refused(wall):
     delivered = Delivery(wall, "all", (256, 128), turn_deg=1.0).open()
     pair = delivered[0].input
     told = replace(pair, T_right_left=pair.T_right_left_nominal)
-    with pytest.raises(UserError, match="whoever does nothing is right. Take --turn-deg"):
+    with pytest.raises(UserError, match=r"whoever does nothing is right\. Take --turn-deg"):
         Delivered(Delivery(wall, "all", (256, 128)), [told], [0])[0]
 
 

@@ -13,15 +13,18 @@ from matplotlib.figure import Figure
 
 from flowrect.depth_error import EDGES_M, MatchedPair, RangeError
 from flowrect.evaluation.drawing import (
+    SOME_CHARTED,
+    best_of_each,
     captioned,
+    chart,
     colours,
+    labels,
     one_column_a_method,
     overlay,
-    short,
     small,
 )
 from flowrect.sample import Image
-from simgen.charts import SIZE, empty, label, legend_above, to_svg
+from simgen.charts import label, legend_beside, to_svg
 from simgen.page import section, table
 from simgen.paint import depth_colors
 
@@ -67,14 +70,16 @@ def depth_report(
     lacking: Mapping[str, str],
 ) -> list[str]:
     """Its sections; ``lacking`` says why other stereo matchers could not run."""
+    errors = {m: _mean_of_means(found) for m, found in ranges.items()}
+    charted = {m: ranges[m] for m in best_of_each(errors)}
     charts = {
         "mean absolute error of pixels that all answered": _by_range(
-            {m: [common.mae_m for _, common in found] for m, found in ranges.items()},
+            {m: [common.mae_m for _, common in found] for m, found in charted.items()},
             "mean |error| [m]",
             log=True,
         ),
         "share of pixels answered": _by_range(
-            {m: [100 * own.coverage for own, _ in found] for m, found in ranges.items()},
+            {m: [100 * own.coverage for own, _ in found] for m, found in charted.items()},
             "% of pixels",
         ),
     }
@@ -82,6 +87,7 @@ def depth_report(
         f"<figure><h3>{escape(name)}</h3>{to_svg(figure, name)}</figure>"
         for name, figure in charts.items()
     )
+    which = [SOME_CHARTED.format(len(charted), len(ranges))] * (len(charted) < len(ranges))
     absent = [f"{name}: {why}" for name, why in lacking.items()]
     numbers = (
         "Mean / median of |error| in m of pixels that all answered who have predicted the pair; in "
@@ -94,7 +100,7 @@ def depth_report(
     )
     return [
         section(f"Depth by {title}", f'<div class="charts">{"".join(drawn)}</div>',
-                " ".join(["Error by range of true depth.", *absent])),
+                " ".join(["Error by range of true depth.", *which, *absent])),
         section(f"Depth by {stereo} in numbers", _table(ranges, counts), numbers),
         section(f"Pairs, and their depth by {stereo}", _pictures(pictures), shown),
     ]  # fmt: skip
@@ -102,15 +108,16 @@ def depth_report(
 
 def _by_range(values: Mapping[str, Sequence[float]], unit: str, *, log: bool = False) -> Figure:
     """Values of each method over the ranges of true depth."""
-    figure, axes = empty(SIZE)
+    figure, axes = chart(len(values))
+    legend = labels(list(values))
     names = [f"{a:g}–{b:g}" for a, b in pairwise(EDGES_M)]
     for method, color in colours(values).items():
         axes.plot(names, values[method], "o-", markersize=3, linewidth=1.2, color=color,
-                  label=short(method))  # fmt: skip
+                  label=legend[method])  # fmt: skip
     if log:
         axes.set_yscale("log")
     label(axes, "true depth [m]", unit)
-    legend_above(axes, 3)
+    legend_beside(axes)
     return figure
 
 
@@ -125,12 +132,18 @@ def depth_rows(ranges: Ranges, counts: Mapping[str, Counts]) -> Iterator[list[st
     """The cells of each method: MAE / median [m] of common pixels, and own coverage, by range."""
     most = max(c.pairs for c in counts.values())
     for method, found in ranges.items():
-        known = [c.mae_m for _, c in found if np.isfinite(c.mae_m)]
+        mean = _mean_of_means(found)
         yield [
             method + _mark(counts[method], most),
             *(f"{c.mae_m:.2f} / {c.median_m:.2f}\n{own.coverage:.0%}" for own, c in found),
-            f"{np.mean(known):.2f}" if known else "–",
+            f"{mean:.2f}" if np.isfinite(mean) else "–",
         ]
+
+
+def _mean_of_means(found: Sequence[tuple[RangeError, RangeError]]) -> float:
+    """Over the ranges that have one; infinite if none has."""
+    known = [c.mae_m for _, c in found if np.isfinite(c.mae_m)]
+    return float(np.mean(known)) if known else np.inf
 
 
 def _mark(counts: Counts, of: int) -> str:

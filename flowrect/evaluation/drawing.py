@@ -9,21 +9,48 @@ from html import escape
 import cv2
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
 from flowrect.sample import Image
-from simgen.charts import SERIES
+from simgen.charts import SERIES, SIZE, empty
 
 PICTURE_W = 384
 GUIDES = 8
 """horizontal lines over an overlay"""
-NAME_LENGTH = 22
+NAME_LENGTH = 28
 """of a method in a legend"""
+SOME_CHARTED = (
+    "Charts show {} of {} methods: of each matcher, or network, the one with the least error."
+)
+LEGEND_W, LINE_H = 1.8, 0.175
+"""inches of a legend, and of one of its lines"""
 
 
-def short(method: str) -> str:
-    """A name that fits a legend: of a path its end."""
-    return method if len(method) <= NAME_LENGTH else "…" + method[1 - NAME_LENGTH :]
+def best_of_each(errors: Mapping[str, float]) -> list[str]:
+    """Of each matcher, or network, the method with the least error; in their order.
+
+    A chart of some forty methods shows nothing. Tables have them all.
+    """
+    best: dict[str, str] = {}
+    for method, error in errors.items():
+        family = method.partition("+")[0]
+        if family not in best or error < errors[best[family]]:
+            best[family] = method
+    return [method for method in errors if method in best.values()]
+
+
+def chart(num_methods: int) -> tuple[Figure, Axes]:
+    """An empty one, with room for a legend of so many methods beside it."""
+    w, h = SIZE
+    return empty((w + LEGEND_W, max(h, 0.5 + LINE_H * num_methods)))
+
+
+def labels(methods: Sequence[str]) -> dict[str, str]:
+    """Names that fit a legend: of long paths their ends, where these differ."""
+    ends = {m: m if len(m) <= NAME_LENGTH else "…" + m[1 - NAME_LENGTH :] for m in methods}
+    return {m: end if list(ends.values()).count(end) == 1 else m for m, end in ends.items()}
 
 
 def colours(methods: Collection[str]) -> dict[str, str]:

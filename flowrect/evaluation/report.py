@@ -13,10 +13,19 @@ from flowrect.depth_error import rectified_images
 from flowrect.drectify import rectify
 from flowrect.evaluation import seconds, tables
 from flowrect.evaluation.delivered import Delivered, evenly, prior
-from flowrect.evaluation.drawing import captioned, colours, one_column_a_method, overlay, short
+from flowrect.evaluation.drawing import (
+    SOME_CHARTED,
+    best_of_each,
+    captioned,
+    chart,
+    colours,
+    labels,
+    one_column_a_method,
+    overlay,
+)
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Rows, Score
 from flowrect.sample import Image, Pair
-from simgen.charts import SIZE, empty, label, legend_above, to_svg
+from simgen.charts import label, legend_beside, to_svg
 from simgen.geometry import Array
 from simgen.page import section, table
 
@@ -73,18 +82,22 @@ def _table(scores: Sequence[Score], unavailable: dict[str, str], trained: Mappin
 
 
 def _charts(scores: Sequence[Score], pairs: Delivered) -> str:
-    groups = {m: g for (m, _), g in tables.grouped(scores).items() if m != TRUTH}
+    every = {m: g for (m, _), g in tables.grouped(scores).items() if m != TRUTH}
+    errors = {m: float(np.median([_geodesic(s) for s in g])) for m, g in every.items()}
+    groups = {m: every[m] for m in best_of_each(errors)}
     name = scores[0].translation
     figures = {
         "share of pairs below an error": _cumulative(groups),
-        "error against number of matches": _by_matches(groups, pairs),
+        "error against number of matches (hollow: failed)": _by_matches(groups, pairs),
         **{f"median error by {by}": _by_stratum(groups, by) for by in tables.STRATA},
     }
     drawn = (
         f"<figure><h3>{escape(title)}</h3>{to_svg(figure, f'{name} {title}')}</figure>"
         for title, figure in figures.items()
     )
-    return f'<div class="charts">{"".join(drawn)}</div>'
+    some = f"<p>{SOME_CHARTED.format(len(groups), len(every))}</p>"
+    which = some if len(groups) < len(every) else ""
+    return f'{which}<div class="charts">{"".join(drawn)}</div>'
 
 
 def _geodesic(score: Score) -> float:
@@ -92,15 +105,16 @@ def _geodesic(score: Score) -> float:
 
 
 def _cumulative(groups: dict[str, list[Score]]) -> Figure:
-    figure, axes = empty(SIZE)
+    figure, axes = chart(len(groups))
+    names = labels(list(groups))
     for method, color in colours(groups).items():
         error = np.sort([_geodesic(s) for s in groups[method]])
         share = 100 * (np.arange(len(error)) + 1) / len(error)
-        axes.step(error, share, where="post", color=color, label=short(method), linewidth=1.4)
+        axes.step(error, share, where="post", color=color, label=names[method], linewidth=1.4)
     axes.set_xscale("log")
     axes.set_ylim(0, 100)
     label(axes, "geodesic error [°]", "% of pairs")
-    legend_above(axes, 3)
+    legend_beside(axes)
     return figure
 
 
@@ -109,7 +123,8 @@ def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
 
     Failures, which have the prior's error, are hollow; those without any match stand at 1.
     """
-    figure, axes = empty(SIZE)
+    figure, axes = chart(len(groups))
+    names = labels(list(groups))
     for method, color in colours(groups).items():
         known = [(s.num_matches, s) for s in groups[method] if s.num_matches is not None]
         for failed in (False, True):
@@ -117,7 +132,7 @@ def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
             if points:
                 axes.plot(*zip(*points, strict=True), ".", markersize=3 + 2 * failed, color=color,
                           fillstyle="none" if failed else "full", alpha=0.6,
-                          label=short(method) + failed * " failed")  # fmt: skip
+                          label=None if failed else names[method])  # fmt: skip
     pair = pairs[0].input
     counts = np.geomspace(20, 20_000, 50)
     bound = cramer_rao_deg(counts, NOISE_PX, float(pair.K_left[1, 1]), pair.wh)
@@ -125,7 +140,7 @@ def _by_matches(groups: dict[str, list[Score]], pairs: Delivered) -> Figure:
     axes.set_xscale("log")
     axes.set_yscale("log")
     label(axes, "matches", "geodesic error [°]")
-    legend_above(axes, 3)
+    legend_beside(axes)
     return figure
 
 
@@ -142,17 +157,18 @@ def cramer_rao_deg(num: Array, noise_px: float, f: float, wh: tuple[int, int]) -
 
 def _by_stratum(groups: dict[str, list[Score]], by: str) -> Figure:
     key = tables.STRATA[by]
-    names = sorted({key(s) for g in groups.values() for s in g if key(s)}) or ["all"]
-    figure, axes = empty(SIZE)
+    strata = sorted({key(s) for g in groups.values() for s in g if key(s)}) or ["all"]
+    figure, axes = chart(len(groups))
+    names = labels(list(groups))
     for method, color in colours(groups).items():
         parts = [[_geodesic(s) for s in groups[method] if key(s) in (n, "")]
-                 for n in names]  # fmt: skip
-        axes.plot(names, [np.median(p) if p else np.nan for p in parts], "o", color=color,
-                  markersize=5, label=short(method))  # fmt: skip
+                 for n in strata]  # fmt: skip
+        axes.plot(strata, [np.median(p) if p else np.nan for p in parts], "o", color=color,
+                  markersize=5, label=names[method])  # fmt: skip
     axes.set_yscale("log")
     axes.tick_params(axis="x", labelrotation=20)
     label(axes, "", "median geodesic error [°]")
-    legend_above(axes, 3)
+    legend_beside(axes)
     return figure
 
 
