@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import ablation
+import cv2
 import data_loading
 import flow_metric
 import match_probability
@@ -15,6 +16,7 @@ import numpy as np
 import paper_step
 import pytest
 import scene_contents
+import shuffled_pairs
 import torch
 import tune_methods
 import tyro
@@ -26,10 +28,12 @@ from flowrect.config import TRAINING
 from flowrect.correspondences import Correspondences
 from flowrect.geometry import pixel_grid, project, unproject
 from flowrect.loading import Loading, PairLoader
+from flowrect.matches import Matches
+from flowrect.methods import FromMatches, unrectified
 from flowrect.metrics import METRIC_WH
 from flowrect.resize import Sizing
 from flowrect.sample import Batch
-from flowrect.solvers import NoSolution
+from flowrect.solvers import NoSolution, Solution
 from flowrect.sources import open_source
 from flowrect.train_flow import Views, error_sizes
 from flowrect.weights import Card, load_weights, save_weights
@@ -134,12 +138,55 @@ def test_a_method_that_always_fails_has_times_and_no_stages():
 
 def test_a_failure_is_timed(tmp_path):
     def fails(*arguments: object):
-        raise NoSolution("no matches")
+        raise NoSolution("no matches", seconds={"matching": 0.5})
 
     pair = open_source(road_set(tmp_path, 2), split="train", truth_points=None)[0]
     timing = method_time.once(fails, pair)
     assert timing.failed
     assert timing.seconds > 0
+    assert timing.stages == {"matching": 0.5}
+
+
+def test_a_method_that_raises_costs_its_pair_only(tmp_path, capsys):
+    def raises(*arguments: object):
+        raise cv2.error("a plane")
+
+    pair = open_source(road_set(tmp_path, 2), split="train", truth_points=None)[0]
+    assert method_time.once(raises, pair).failed
+    assert "error: a plane" in capsys.readouterr().out
+
+
+# --- shuffled_pairs ------------------------------------------------------------------------------
+
+
+def test_answers_about_mixed_pairs_are_told_by_their_turn_from_the_prior(tmp_path, monkeypatch):
+    pairs = open_source(road_set(tmp_path, 2), split="train", truth_points=None)
+    looked: list[str] = []
+
+    def matcher(name: str):
+        def match(left: np.ndarray, right: np.ndarray) -> Matches:
+            np.testing.assert_array_equal(left, pairs[0].left)
+            np.testing.assert_array_equal(right, pairs[-1].right)
+            looked.append(name)
+            return Matches(np.zeros((2, 2)), np.zeros((2, 2)))
+
+        return match
+
+    def turned(matches: Matches, K_left: np.ndarray, K_right: np.ndarray, prior: np.ndarray):
+        if len(matches) == 4:  # of both matchers together
+            raise NoSolution("too few")
+        R = Rotation.from_rotvec([0, 4, 3], degrees=True).as_matrix() @ prior[:3, :3]
+        return Solution(R, prior[:3, 3], np.ones(len(matches), dtype=bool))
+
+    monkeypatch.setattr(shuffled_pairs, "load_matcher", matcher)
+    mixed = shuffled_pairs.Mixed(pairs[0], pairs[-1])
+    turns = [mixed.turn_deg(FromMatches(name, turned)) for name in ("sift", "dis", "sift-dis")]
+    assert turns == [pytest.approx(5), pytest.approx(5), None]
+    assert looked == ["sift", "dis"]  # once each
+    assert mixed.turn_deg(unrectified) == 0
+    row = shuffled_pairs.row("m", [5.0, 2.0, None])
+    assert row == ["m", 3, 1, 2, 3.5, 1]
+    assert shuffled_pairs.row("m", [None]) == ["m", 1, 1, 0, "–", 0]
 
 
 # --- paper_step, data_loading, tune_methods ------------------------------------------------------
