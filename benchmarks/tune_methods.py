@@ -1,6 +1,6 @@
 """Which settings of matchers and robust solvers are best on training frames.
 
-    python benchmarks/tune_methods.py --data train/ [--limit 60] [--size 512x256] [--only aliked …]
+    python benchmarks/tune_methods.py --data train/ [--limit 60] [--size 1024x512] [--only aliked …]
 
 Test frames are never looked at. Matches are found once a setting; every solver setting gets the
 same ones. Geodesic error in degrees; failures are counted with the error of the prior. The last
@@ -22,7 +22,7 @@ from flowrect.evaluate import wh_of
 from flowrect.evaluation.delivered import Delivery, prior
 from flowrect.matchers import dis, load_matcher, sift
 from flowrect.matches import Matcher
-from flowrect.solvers import NoSolution, Solver
+from flowrect.solvers import NoSolution, Solver, supported
 from flowrect.solvers.essential import Ransac, lo_ransac, magsac, usac
 from flowrect.solvers.fit import FIVE_DOF, fit
 from simgen.errors import UserError
@@ -36,17 +36,18 @@ class Options:
     data: Path
     limit: int = 60
     """pairs, evenly chosen"""
-    size: str = "512x256"
+    size: str = "1024x512"
+    """as flowrect.evaluate delivers them"""
     only: tuple[str, ...] = ()
     """rows of the sweep, such as aliked; all if not given"""
 
 
 THRESHOLDS = (0.25, 0.5, 1.0, 2.0)
-FITS = {"5dof": partial(fit, options=FIVE_DOF)}
+FITS = {"5dof": supported(partial(fit, options=FIVE_DOF))}
 RANSACS: dict[str, Solver] = {
-    **{f"loransac {t:g}": partial(lo_ransac, options=Ransac(t)) for t in THRESHOLDS},
-    **{f"usac {t:g}": partial(usac, options=Ransac(t)) for t in THRESHOLDS},
-    **{f"magsac {t:g}": partial(magsac, options=Ransac(t)) for t in THRESHOLDS},
+    f"{name} {t:g}": supported(partial(solve, options=Ransac(t)))
+    for name, solve in (("loransac", lo_ransac), ("usac", usac), ("magsac", magsac))
+    for t in THRESHOLDS
 }
 SETTINGS: dict[str, Matcher] = {
     **{f"sift {c:g} {r:g}": partial(sift.match, options=replace(sift.TUNED, contrast=c, ratio=r))
@@ -57,7 +58,7 @@ SETTINGS: dict[str, Matcher] = {
 SWEEP: dict[str, dict[str, Solver]] = {
     **dict.fromkeys((*SETTINGS, "sift-dis"), FITS),
     **dict.fromkeys(("sift", "dis"), RANSACS),
-    **dict.fromkeys(("aliked", "disk", "xfeat"), FITS | RANSACS),
+    **dict.fromkeys(("aliked", "disk", "xfeat", "raft"), FITS | RANSACS),
 }
 """settings or names of matchers, and the solvers that are tried on their matches"""
 
