@@ -204,6 +204,17 @@ def test_flow_of_a_network_is_taken_across_epipolar_lines_of_all_and_of_filled_p
     assert len(calls) == 4
 
 
+def test_a_pair_whose_offsets_cannot_be_measured_is_without(tmp_path):
+    def raises(left: np.ndarray, right: np.ndarray):
+        raise ZeroDivisionError("black images")
+
+    looks, black = Offsets("sift", raises, Memory(tmp_path / "a.jsonl")), np.zeros((4, 4, 3), "u1")
+    with pytest.warns(UserWarning, match="sift offsets: ZeroDivisionError: black images"):
+        found = looks.figures(black, black, black[..., 0] > 0, vertical=False)
+    assert np.isnan([*found.values()]).all()
+    assert list(found) == ["sift_offset_px", "sift_offset_median_px"]
+
+
 def test_flow_sees_the_pair_as_each_method_rectifies_it(data, tmp_path):
     """A network that sees 1 px where either image is black, else none: the mask leaves 0."""
 

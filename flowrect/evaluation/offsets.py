@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from torch import Tensor
 
 from flowrect.evaluation import stamp
 from flowrect.losses import across_epipolar_lines
-from flowrect.matches import Matcher
+from flowrect.matches import Matcher, Matches
 from flowrect.sample import Image
 
 FLOW, FLOW_VALID = "raft_flow_px", "raft_flow_valid_px"
@@ -73,7 +74,7 @@ class Memory:
 class Offsets:
     """|dy| of all matches, |dx| of a vertical rig: mean, as the paper has it, and median.
 
-    NaN without any match.
+    NaN without any match, or where the matcher raises, which is said.
     """
 
     name: str
@@ -89,7 +90,11 @@ class Offsets:
         return self.memory.of(key, lambda: self._measured(left, right, vertical))
 
     def _measured(self, left: Image, right: Image, vertical: bool) -> dict[str, float]:
-        matches = self.match(left, right)
+        try:
+            matches = self.match(left, right)
+        except Exception as error:  # hours of other pairs are not lost: this one is "without"
+            warnings.warn(f"{self.name} offsets: {type(error).__name__}: {error}", stacklevel=2)
+            matches = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
         across = np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1])
         known = len(across) > 0
         return {
