@@ -7,12 +7,10 @@ is not done again.
 
 from __future__ import annotations
 
-import io
 import multiprocessing
 import os
 import platform
 import time
-import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
@@ -32,6 +30,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from flowrect.evaluation import predictions, stamp
 from flowrect.evaluation.delivered import Delivered, Delivery, Translation, prior
+from flowrect.evaluation.kept import read_arrays, write_arrays
 from flowrect.evaluation.predictions import Origin, Prediction
 from flowrect.matchers import PARTS, joined, load_matcher
 from flowrect.matches import Matches
@@ -40,7 +39,6 @@ from flowrect.sample import Pair, Prepared
 from flowrect.solvers import NoSolution
 from simgen.errors import UserError
 from simgen.geometry import Array
-from simgen.shards import write_atomically
 
 FAULT = "fault of the machine"
 """begins a failure that is not the method's: such a pair is tried again by the next run"""
@@ -306,25 +304,13 @@ _ARRAYS = ("uv_left", "uv_right", "score", "weight")
 def _matches(path: Path, matcher: str, pair: Pair) -> tuple[Matches, float]:
     """The matches of a pair and the seconds that they took, from their file if there is one."""
     made_by = stamp.of_matcher(matcher)
-    if (kept := _kept(path, made_by)) is not None:
-        return kept
+    if (kept := read_arrays(path, "stamp", "seconds", *_ARRAYS)) is not None:
+        known_by, took_s, *matches = kept
+        if str(known_by) == made_by:
+            return Matches(*matches), float(took_s)
     seconds = Seconds()
     with seconds.of("matching"):
         found = load_matcher(matcher)(pair.left, pair.right)
-    memory = io.BytesIO()
     arrays = {name: getattr(found, name) for name in _ARRAYS}
-    np.savez(memory, seconds=np.array(seconds["matching"]), stamp=np.array(made_by), **arrays)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, memory.getvalue())
+    write_arrays(path, seconds=seconds["matching"], stamp=made_by, **arrays)
     return found, seconds["matching"]
-
-
-def _kept(path: Path, made_by: str) -> tuple[Matches, float] | None:
-    """What a file holds, if what made it has this stamp."""
-    try:
-        with np.load(io.BytesIO(path.read_bytes())) as file:
-            if str(file["stamp"]) != made_by:
-                return None
-            return Matches(*(file[name] for name in _ARRAYS)), float(file["seconds"])
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
-        return None
