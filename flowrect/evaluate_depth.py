@@ -246,15 +246,12 @@ def _stereo(options: DepthOptions, name: str) -> Stereo:
 
 
 def by_range(tallies: dict[str, Tally]) -> Ranges:
-    """Errors of each method and range: of its own answers, and of pixels that all answered.
+    """Errors of each method and range: of all its answers, and of pixels that can be answered.
 
-    The first alone would favour whoever answers for the easy pixels only. All are those that have
-    predicted the pair.
+    Those are pixels that are answered where the true pose rectifies the pair, so that no method's
+    figures depend on which others there are.
     """
-    answered: dict[int, NDArray[np.bool_]] = {}
-    for tally in tallies.values():
-        for i, of_pair in tally.samples.items():
-            answered[i] = np.isfinite(of_pair.estimated_m) & answered.get(i, True)
+    answered = {i: ~np.isnan(s.estimated_m) for i, s in tallies[TRUTH].samples.items()}
     return {name: _by_range(tally.samples, answered) for name, tally in tallies.items()}
 
 
@@ -262,12 +259,12 @@ def _by_range(
     samples: Mapping[int, DepthSamples], answered: Mapping[int, NDArray[np.bool_]]
 ) -> list[tuple[RangeError, RangeError]]:
     own = DepthSamples.joined(list(samples.values()))
-    common = DepthSamples.joined([s.subset(answered[i]) for i, s in samples.items()])
-    return list(zip(own.by_range(), common.by_range(), strict=True))
+    answerable = DepthSamples.joined([s.subset(answered[i]) for i, s in samples.items()])
+    return list(zip(own.by_range(), answerable.by_range(), strict=True))
 
 
 COLUMNS = ("method", "pairs", "failed_pairs", "from_m", "to_m", "pixels", "coverage", "mae_m",
-           "median_m", "bias_m", "mae_common_m", "median_common_m")  # fmt: skip
+           "median_m", "bias_m", "mae_answerable_m", "median_answerable_m")  # fmt: skip
 
 
 def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
@@ -276,14 +273,14 @@ def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         for name, rows in ranges.items():
-            for own, common in rows:
+            for own, answerable in rows:
                 writer.writerow([name, *counts[name], own.from_m, own.to_m, own.pixels,
-                                 own.coverage, own.mae_m, own.median_m, own.bias_m, common.mae_m,
-                                 common.median_m])  # fmt: skip
+                                 own.coverage, own.mae_m, own.median_m, own.bias_m,
+                                 answerable.mae_m, answerable.median_m])  # fmt: skip
 
 
 def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
-    """MAE and median [m] of pixels that all answered, and each method's own coverage, by range."""
+    """MAE and median [m] of answerable pixels, and each method's coverage of all, by range."""
     columns = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
     result = Table("", *columns, "mean MAE", title=escape(title))
     for row in depth_rows(ranges, counts):
@@ -304,7 +301,7 @@ def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> No
     own = {UNRECTIFIED, TRUTH}
     sources = one_page.Sources.of(_delivery(options).open().fingerprint, tallies.keys() - own)
     path = one_page.put(options.results, name, sections, sources)
-    title += ": MAE / median in m of pixels that all answered; own answers"
+    title += ": MAE / median in m of pixels that are answered with the true pose, too; all answers"
     Console(width=200).print(table(ranges, counts, title))
     print(f"{path}: the same as curves, with pictures")
 

@@ -83,7 +83,7 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     of = ranges_of(tmp_path / "results" / "depth.sgbm.nominal.csv")
     begun = of.pop("begun")
     assert {(r["pairs"], r["failed_pairs"]) for r in begun} == {("1", "0")}
-    for figure in ("pixels", "coverage", "mae_m", "mae_common_m"):
+    for figure in ("pixels", "coverage", "mae_m", "mae_answerable_m"):
         column = {name: [r[figure] for r in found] for name, found in of.items()}
         assert column["failing"] == column["wild"] == column[UNRECTIFIED]
         assert column["right"] == column[TRUTH]
@@ -150,17 +150,21 @@ def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none
         "all": Tally({0: DepthSamples(true, true + 1), 1: DepthSamples(true, some)}, failed=1),
         "begun": Tally({1: DepthSamples(true, true)}),
         "not yet": Tally(),
+        TRUTH: Tally({i: DepthSamples(true, np.array([np.nan, 6.0, np.inf])) for i in (0, 1)}),
     }
     near = {name: found[0] for name, found in by_range(tallies).items()}
-    own, common = near["all"]
+    own, answerable = near["all"]
     assert (own.pixels, own.answered, own.mae_m) == (4, 3, 1.0)
-    assert (common.pixels, common.mae_m) == (3, 1.0)
-    own, common = near["begun"]
-    assert (own.pixels, common.pixels, common.mae_m) == (2, 1, 0.0)
+    assert (answerable.pixels, answerable.mae_m) == (2, 1.0)
+    own, answerable = near["begun"]
+    assert (own.pixels, answerable.pixels, answerable.mae_m) == (2, 1, 0.0)
+    assert by_range(tallies)["all"][3][1].pixels == 2  # at 50 m, infinity is an answer
+    alone = {name: tallies[name] for name in ("begun", TRUTH)}
+    assert by_range(alone)["begun"][0] == near["begun"]  # whoever else is there
     assert near["not yet"][0].pixels == 0
     names = [row[0] for row in depth_rows(by_range(tallies), {m: t.counts for m, t in
                                                               tallies.items()})]  # fmt: skip
-    assert names == ["all (1 failed)", "begun (1 of 2 pairs)", "not yet (0 of 2 pairs)"]
+    assert names == ["all (1 failed)", "begun (1 of 2 pairs)", "not yet (0 of 2 pairs)", TRUTH]
 
 
 def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(

@@ -32,7 +32,8 @@ SHOWN_M = 3.0, EDGES_M[-1]
 """ends of the colours of depth"""
 
 Ranges = Mapping[str, Sequence[tuple[RangeError, RangeError]]]
-"""by method: errors of each range, of the method's own answers and of pixels that all answered"""
+"""by method: errors of each range, of all its answers, and of those for pixels that are answered
+where the true pose rectifies the pair"""
 
 
 class Counts(NamedTuple):
@@ -73,8 +74,8 @@ def depth_report(
     errors = {m: _mean_of_means(found) for m, found in ranges.items()}
     charted = {m: ranges[m] for m in best_of_each(errors)}
     charts = {
-        "mean absolute error of pixels that all answered": _by_range(
-            {m: [common.mae_m for _, common in found] for m, found in charted.items()},
+        "mean absolute error": _by_range(
+            {m: [answerable.mae_m for _, answerable in found] for m, found in charted.items()},
             "mean |error| [m]",
             log=True,
         ),
@@ -90,8 +91,8 @@ def depth_report(
     which = [SOME_CHARTED.format(len(charted), len(ranges))] * (len(charted) < len(ranges))
     absent = [f"{name}: {why}" for name, why in lacking.items()]
     numbers = (
-        "Mean / median of |error| in m of pixels that all answered who have predicted the pair; in "
-        "brackets, the share of pixels that the method answered."
+        "Mean / median of |error| in m of pixels that are answered where the true pose rectifies "
+        "the pair, too; in brackets, the share of all pixels that the method answered."
     )
     shown = (
         "Left and right image laid over each other: what is at one height in both stands on one "
@@ -129,7 +130,7 @@ def _table(ranges: Ranges, counts: Mapping[str, Counts]) -> str:
 
 
 def depth_rows(ranges: Ranges, counts: Mapping[str, Counts]) -> Iterator[list[str]]:
-    """The cells of each method: MAE / median [m] of common pixels, and own coverage, by range."""
+    """Cells of each method by range: MAE / median [m] of answerable pixels, and its coverage."""
     most = max(c.pairs for c in counts.values())
     for method, found in ranges.items():
         mean = _mean_of_means(found)
