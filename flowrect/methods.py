@@ -21,11 +21,11 @@ from typing import Protocol
 import numpy as np
 
 from flowrect.estimate import Calibrator, load_model
-from flowrect.matchers import LEARNED, MATCHERS, PARTS, load_matcher
+from flowrect.matchers import LEARNED, MATCHERS, PARTS, WHOLE_PIXELS, load_matcher
 from flowrect.matches import Matches
 from flowrect.rivals.config import RIVALS, SharedConfig
 from flowrect.sample import Image
-from flowrect.solvers import SOLVERS, NoSolution, Solver
+from flowrect.solvers import COARSE, SOLVERS, NoSolution, Solver
 from flowrect.weights import SHIPPED
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
@@ -197,8 +197,9 @@ METHODS: dict[str, Callable[[], Method]] = {
     "unrectified": lambda: unrectified,
     **{name: partial(_with_network, name) for name in ("network", "network+3dof", "network+5dof")},
     **{name: partial(trained, name) for name in TRAINED},
-    **{f"{m}+{s}": partial(FromMatches, m, SOLVERS[s]) for m in MATCHERS for s in SOLVERS},
-}
+    **{f"{m}+{s}": partial(FromMatches, m, solve) for m in MATCHERS
+       for s, solve in (SOLVERS | (COARSE if m in WHOLE_PIXELS else {})).items()},
+}  # fmt: skip
 """made when they are asked for: some take weights"""
 
 _POINTS = tuple(m for m in LEARNED if m != "raft")

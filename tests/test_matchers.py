@@ -20,11 +20,20 @@ from torch import Tensor
 
 from flowrect import matchers
 from flowrect.flow_network import FlowCard, FlowNetwork, load_flow, save_flow
-from flowrect.matchers import _images, _weights, efficientloftr, load_matcher, raft, sift
+from flowrect.matchers import (
+    WHOLE_PIXELS,
+    _images,
+    _weights,
+    efficientloftr,
+    load_matcher,
+    raft,
+    sift,
+)
 from flowrect.matchers.dis import consistent
 from flowrect.matches import Matches
 from flowrect.methods import METHODS
 from flowrect.sample import Image
+from flowrect.solvers import COARSE, SOLVERS
 from simgen.errors import UserError
 
 WH = (245, 181)  # no multiple of anything
@@ -82,6 +91,18 @@ def test_ends_follow_a_homography(name):
     found = load_matcher(name)(left, right)
     ends = np.column_stack([found.uv_left, np.ones(len(found))]) @ HOMOGRAPHY.T
     within(found, found.uv_right - ends[:, :2] / ends[:, 2:], OFFLINE[name])
+
+
+@pytest.mark.parametrize("name", OFFLINE)
+def test_whole_pixels_have_the_larger_threshold(name):
+    image = window(200, 150, (256, 192))  # which XFeat does not resize
+    found = load_matcher(name)(image, image).uv_left
+    whole = bool((found == np.rint(found)).all())
+    assert whole == (name in WHOLE_PIXELS)
+    for solver in ("loransac", "usac"):
+        expected = COARSE if whole else SOLVERS
+        assert METHODS[f"{name}+{solver}"]().solver is expected[solver]
+    assert METHODS[f"{name}+loransac-paper"]().solver is SOLVERS["loransac-paper"]
 
 
 def test_a_shift_is_found_in_pixels_of_the_image_though_a_smaller_one_is_seen(worst):

@@ -54,6 +54,8 @@ def learned(name: str) -> Matcher:
 
 
 LEARNED = ("aliked", "disk", "xfeat", "superglue", "loftr", "efficientloftr", "raft")
+WHOLE_PIXELS = ("disk", "xfeat", "superglue")
+"""whose key points are whole pixels; those of others lie between them"""
 MATCHERS: dict[str, Callable[[], Matcher]] = {
     "sift": lambda: sift.match,
     "sift-paper": lambda: partial(sift.match, options=sift.PAPER),

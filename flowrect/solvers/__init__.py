@@ -12,7 +12,7 @@ from flowrect.solvers.fit import FIVE_DOF, THREE_DOF, fit, require_support
 from flowrect.solvers.solution import NoSolution, Solution
 from simgen.geometry import Array
 
-__all__ = ["SOLVERS", "NoSolution", "Solution", "Solver"]
+__all__ = ["COARSE", "SOLVERS", "NoSolution", "Solution", "Solver"]
 
 Solver = Callable[[Matches, Array, Array, Array], Solution]
 """matches, K_left, K_right (3, 3) [px], prior T_right_left (4, 4)"""
@@ -37,6 +37,11 @@ PAPER = Ransac(threshold_px=1.0, normalised=True)
 too far off"""
 
 # Thresholds were swept on training frames, see benchmarks/tune_methods.py.
+COARSE: dict[str, Solver] = {
+    "loransac": supported(partial(essential.lo_ransac, options=Ransac(threshold_px=1.0))),
+    "usac": supported(partial(essential.usac, options=Ransac(threshold_px=1.0))),
+}
+"""for matches of whole pixels, which are as wrong as .5 px along each axis"""
 SOLVERS: dict[str, Solver] = {
     "loransac": supported(partial(essential.lo_ransac, options=Ransac(threshold_px=0.5))),
     "usac": supported(partial(essential.usac, options=Ransac(threshold_px=0.5))),
