@@ -26,8 +26,7 @@ import tyro
 from _table import markdown, write_csv
 from rich.progress import track
 
-from flowrect.evaluate import wh_of
-from flowrect.evaluation.delivered import Delivery, prior
+from flowrect.evaluation.delivered import Delivery, prior, wh_of
 from flowrect.files import make_folder
 from flowrect.methods import TABLE, Method, load_method
 from flowrect.sample import Pair

@@ -20,8 +20,7 @@ from match_probability import partners
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from flowrect.evaluate import wh_of
-from flowrect.evaluation.delivered import Delivery, prior
+from flowrect.evaluation.delivered import Delivery, prior, wh_of
 from flowrect.files import make_folder
 from flowrect.matchers import PARTS, joined, load_matcher
 from flowrect.matches import Matches

@@ -18,8 +18,7 @@ import tyro
 from _table import markdown
 from rich.progress import track
 
-from flowrect.evaluate import wh_of
-from flowrect.evaluation.delivered import Delivery, prior
+from flowrect.evaluation.delivered import Delivery, prior, wh_of
 from flowrect.matchers import dis, load_matcher, sift
 from flowrect.matches import Matcher
 from flowrect.solvers import NoSolution, Solver, supported

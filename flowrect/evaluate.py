@@ -28,8 +28,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from flowrect.evaluation import one_page, tables
-from flowrect.evaluation.delivered import Delivery, Translation
-from flowrect.evaluation.predict import Report, Run, predict
+from flowrect.evaluation.delivered import Delivery, Translation, wh_of
+from flowrect.evaluation.predict import OnProgress, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
@@ -159,16 +159,7 @@ def _require_known(methods: Sequence[str]) -> None:
         )
 
 
-def wh_of(size: str) -> tuple[int, int]:
-    """(1024, 512) of "1024x512"."""
-    try:
-        w, h = (int(x) for x in size.split("x"))
-    except ValueError as error:
-        raise UserError(f"--size {size}: expected WIDTHxHEIGHT, such as 1024x512.") from error
-    return w, h
-
-
-class _Progress(AbstractContextManager[Report]):
+class _Progress(AbstractContextManager[OnProgress]):
     """A progress bar, as a function of done and of all."""
 
     def __init__(self, console: Console, what: str) -> None:
@@ -176,7 +167,7 @@ class _Progress(AbstractContextManager[Report]):
                              TimeRemainingColumn(), console=console)  # fmt: skip
         self._task = self._bar.add_task(what)
 
-    def __enter__(self) -> Report:
+    def __enter__(self) -> OnProgress:
         self._bar.start()
         return lambda done, of: self._bar.update(self._task, completed=done, total=of)
 

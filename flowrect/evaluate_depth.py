@@ -33,9 +33,8 @@ from flowrect.depth import STEREO, StereoMatcher, load_stereo
 from flowrect.depth.frame import DepthFrame, depth_frame
 from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, RangeError, matched
 from flowrect.drectify import Rectification, rectify
-from flowrect.evaluate import wh_of
 from flowrect.evaluation import one_page, stamp
-from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior
+from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior, wh_of
 from flowrect.evaluation.depth_report import (
     Counts,
     Picture,
@@ -59,7 +58,7 @@ NUM_SHOWN = 3
 
 
 @dataclass(frozen=True)
-class DepthOptions:
+class EvaluateDepthOptions:
     """Depth error by range, of stereo matchers on the pairs that each method rectified."""
 
     data: Path
@@ -121,7 +120,7 @@ def available(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     return [name for name in names if name not in lacking], lacking
 
 
-def _require_sensible(options: DepthOptions) -> None:
+def _require_sensible(options: EvaluateDepthOptions) -> None:
     for name, value, least in (("--pairs", options.pairs, 1), ("--limit", options.limit, 0)):
         if value < least:
             raise UserError(f"{name} {value}: expected at least {least}.")
@@ -129,7 +128,7 @@ def _require_sensible(options: DepthOptions) -> None:
         raise UserError(f"--nearest-m {options.nearest_m:g}: expected more than 0.")
 
 
-def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
+def evaluate(options: EvaluateDepthOptions, stereo: str) -> dict[str, Tally]:
     """Depth samples of every pair, by method."""
     delivery = _delivery(options)
     rows = {
@@ -161,7 +160,7 @@ def evaluate(options: DepthOptions, stereo: str) -> dict[str, Tally]:
     return tallies
 
 
-def _delivery(options: DepthOptions) -> Delivery:
+def _delivery(options: EvaluateDepthOptions) -> Delivery:
     return Delivery(options.data, options.split, wh_of(options.size), options.limit)
 
 
@@ -229,7 +228,7 @@ def rectified_by(R: Array, t: Array, window: Pair) -> tuple[Rectification, Depth
     return rect, depth_frame(rect, t_given)
 
 
-def _stereo(options: DepthOptions, name: str) -> Stereo:
+def _stereo(options: EvaluateDepthOptions, name: str) -> Stereo:
     """That of a name or NAME=FILE; what it says is kept among the results."""
     kind, _, weights = name.partition("=")
     made_by, folder = stamp.of_stereo(kind, weights), options.results / "disparity"
@@ -288,7 +287,7 @@ def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
     return result
 
 
-def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> None:
+def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str]) -> None:
     """Measures by one stereo matcher, and writes and shows it."""
     tallies = evaluate(options, stereo)
     ranges, counts = by_range(tallies), {name: tally.counts for name, tally in tallies.items()}
@@ -308,7 +307,7 @@ def _write(options: DepthOptions, stereo: str, lacking: Mapping[str, str]) -> No
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
-    options = tyro.cli(DepthOptions, args=arguments, prog="flowrect.evaluate_depth")
+    options = tyro.cli(EvaluateDepthOptions, args=arguments, prog="flowrect.evaluate_depth")
     try:
         _require_sensible(options)
         lacking, stopped = _write_all(options)
@@ -325,7 +324,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 2 if stopped else 0
 
 
-def _write_all(options: DepthOptions) -> tuple[dict[str, str], list[str]]:
+def _write_all(options: EvaluateDepthOptions) -> tuple[dict[str, str], list[str]]:
     """Why some stereo matchers could not run, and what stopped others."""
     names, lacking = available(options.stereo)
     stopped = []

@@ -54,6 +54,15 @@ def evenly(num: int, of: int) -> list[int]:
     return chosen
 
 
+def wh_of(size: str) -> tuple[int, int]:
+    """(1024, 512) of "1024x512"."""
+    try:
+        w, h = (int(x) for x in size.split("x"))
+    except ValueError as error:
+        raise UserError(f"--size {size}: expected WIDTHxHEIGHT, such as 1024x512.") from error
+    return w, h
+
+
 class Delivered(Sequence[Prepared]):
     """Pairs at the delivered size and at ``METRIC_WH``, read when they are asked for."""
 

@@ -82,7 +82,7 @@ class _File:
         return self.origin.method
 
 
-Report = Callable[[int, int], None]
+OnProgress = Callable[[int, int], None]
 """called with tasks done, and of all"""
 
 
@@ -91,7 +91,7 @@ Load = Callable[[str], Method]
 
 
 def predict(
-    run: Run, report: Report = lambda done, of: None, load: Load = load_method
+    run: Run, report: OnProgress = lambda done, of: None, load: Load = load_method
 ) -> dict[str, str]:
     """Predicts what is missing; returns why methods that cannot run here cannot."""
     pairs = run.delivery.open()

@@ -13,7 +13,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from flowrect.evaluation.delivered import Delivery, Translation, evenly
 from flowrect.evaluation.offsets import Look, Memory, Offsets, VerticalFlow
-from flowrect.evaluation.predict import Report, fork_server, share_cores, stop_if_interrupted
+from flowrect.evaluation.predict import OnProgress, fork_server, share_cores, stop_if_interrupted
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.scores import Score, scored
 from flowrect.matchers import MATCHERS, load_matcher
@@ -82,7 +82,7 @@ class Scorer:
         return scored(self._pairs, self._rows, self._translations, i, looks)
 
 
-def scores_of(scoring: Scoring, looks: Sequence[Look], report: Report) -> list[Score]:
+def scores_of(scoring: Scoring, looks: Sequence[Look], report: OnProgress) -> list[Score]:
     """Scores of all methods, pair by pair; ``report`` is told how many pairs are done, of all.
 
     ``looks`` are those of ``scoring``; other processes load their own.
