@@ -60,6 +60,7 @@ table { border-collapse: collapse; background: #fff; border: 1px solid #e3e6ea; 
 th, td { padding: .3rem .7rem; text-align: left; border-bottom: 1px solid #eef0f2; }
 th { font-weight: 600; color: #68707a; }
 .numbers :is(td, th):not(:first-child), .strata td { text-align: right; }
+.numbers td:not(:nth-child(2)) { white-space: nowrap; }
 .numbers, .strata td { font-variant-numeric: tabular-nums; }
 .strata { margin-bottom: 1rem; }
 .strata th { text-align: center; font-size: .78rem; padding: .25rem .45rem; }

@@ -410,14 +410,17 @@ def test_charts_of_the_whole_table_are_drawn_in_full(scores):
     every = [replace(known, method=m, num_matches=9) for m in (*TABLE, "network=a/b/c.safetensors")]
     pair = SimpleNamespace(input=SimpleNamespace(K_left=np.eye(3), wh=(4, 2)))
     html = report._charts(every, [pair])
-    shown = {m.partition("+")[0] for m in TABLE}
+    shown = {(m.partition("+")[0], "+" in m) for m in TABLE}
     assert f"Charts show {len(shown) + 1} of {len(every)} methods" in html
-    assert all(f">{family}" in html for family in ("aliked", "raft", "rpnet", "network=a/b"))
+    named = ("aliked", "raft", "rpnet", "network<", "network+5dof", "network=a/b")
+    assert all(f">{family}" in html for family in named)
 
 
 def test_a_chart_has_the_best_method_of_each_matcher_and_unlike_names():
-    errors = {"unrectified": 1.0, "a+x": 0.3, "a+y": 0.2, "b+x": 0.5, "a-paper+x": 9.0}
-    assert drawing.best_of_each(errors) == ["unrectified", "a+y", "b+x", "a-paper+x"]
+    errors = {"unrectified": 1.0, "a+x": 0.3, "a+y": 0.2, "b+x": 0.5, "a-paper+x": 9.0,
+              "network": 0.4, "network+x": 0.3, "network+y": 0.5}  # fmt: skip
+    shown = ["unrectified", "a+y", "b+x", "a-paper+x", "network", "network+x"]
+    assert drawing.best_of_each(errors) == shown
     paths = [f"network=runs/{name}-and-so-on-and-on/last.safetensors" for name in "ab"]
     assert list(drawing.labels(["sift+5dof", *paths]).values()) == ["sift+5dof", *paths]
     assert drawing.labels(paths[:1])[paths[0]] == "…" + paths[0][-27:]

@@ -31,11 +31,13 @@ LEGEND_W, LINE_H = 1.8, 0.175
 def best_of_each(errors: Mapping[str, float]) -> list[str]:
     """Of each matcher, or network, the method with the least error; in their order.
 
-    A chart of some forty methods shows nothing. Tables have them all.
+    A network alone and what refines it are two. A chart of some forty methods shows nothing;
+    tables have them all.
     """
-    best: dict[str, str] = {}
+    best: dict[tuple[str, bool], str] = {}
     for method, error in errors.items():
-        family = method.partition("+")[0]
+        head, plus, _ = method.partition("+")
+        family = head, bool(plus)
         if family not in best or error < errors[best[family]]:
             best[family] = method
     return [method for method in errors if method in best.values()]
