@@ -33,7 +33,7 @@ from simgen.geometry import Array
 HEADER = ("method", "pairs", "no solution", "answers", "median turn from the prior [°]",
           "within 3° of it")  # fmt: skip
 NEAR_DEG = 3.0
-"""no prior of the set is further from the truth: such an answer looks plausible"""
+"""an answer so near looks plausible: priors are up to 2° off about each axis"""
 
 
 @dataclass(frozen=True)

@@ -208,11 +208,21 @@ def test_a_pair_whose_offsets_cannot_be_measured_is_without(tmp_path):
     def raises(left: np.ndarray, right: np.ndarray):
         raise ZeroDivisionError("black images")
 
+    def full_disk(left: np.ndarray, right: np.ndarray):
+        raise OSError("the disk is full")
+
     looks, black = Offsets("sift", raises, Memory(tmp_path / "a.jsonl")), np.zeros((4, 4, 3), "u1")
     with pytest.warns(UserWarning, match="sift offsets: ZeroDivisionError: black images"):
         found = looks.figures(black, black, black[..., 0] > 0, vertical=False)
     assert np.isnan([*found.values()]).all()
     assert list(found) == ["sift_offset_px", "sift_offset_median_px"]
+    shifted = Matches(np.zeros((2, 2)), np.full((2, 2), 3.0))
+    mended = replace(looks, match=lambda left, right: shifted)  # the next run tries again
+    assert mended.figures(black, black, black[..., 0] > 0, vertical=False) == {
+        "sift_offset_px": 3.0, "sift_offset_median_px": 3.0,
+    }  # fmt: skip
+    with pytest.raises(OSError, match="disk"):
+        replace(looks, match=full_disk).figures(black[1:], black, black[..., 0] > 0, vertical=False)
 
 
 def test_flow_sees_the_pair_as_each_method_rectifies_it(data, tmp_path):

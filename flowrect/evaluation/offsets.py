@@ -23,8 +23,9 @@ from torch import Tensor
 
 from flowrect.evaluation import stamp
 from flowrect.losses import across_epipolar_lines
-from flowrect.matches import Matcher, Matches
+from flowrect.matches import Matcher
 from flowrect.sample import Image
+from simgen.geometry import Array
 
 FLOW, FLOW_VALID = "raft_flow_px", "raft_flow_valid_px"
 """mean |vertical flow| by a flow network: of all pixels, and of those that both images fill"""
@@ -74,7 +75,7 @@ class Memory:
 class Offsets:
     """|dy| of all matches, |dx| of a vertical rig: mean, as the paper has it, and median.
 
-    NaN without any match, or where the matcher raises, which is said.
+    NaN without any match, or where the matcher raises, which is said and not remembered.
     """
 
     name: str
@@ -87,15 +88,19 @@ class Offsets:
     ) -> Mapping[str, float]:
         """As Look; the black of what is not filled has no matches."""
         key = digest(stamp.of_matcher(self.name).encode(), bytes([vertical]), left, right)
-        return self.memory.of(key, lambda: self._measured(left, right, vertical))
+        try:
+            return self.memory.of(key, lambda: self._measured(left, right, vertical))
+        except OSError:  # the disk is full, a file is gone: no fault of this pair
+            raise
+        except Exception as error:  # hours of other pairs are not lost, and the next run tries it
+            warnings.warn(f"{self.name} offsets: {type(error).__name__}: {error}", stacklevel=2)
+            return self._figures(np.empty(0))
 
     def _measured(self, left: Image, right: Image, vertical: bool) -> dict[str, float]:
-        try:
-            matches = self.match(left, right)
-        except Exception as error:  # hours of other pairs are not lost: this one is "without"
-            warnings.warn(f"{self.name} offsets: {type(error).__name__}: {error}", stacklevel=2)
-            matches = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-        across = np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1])
+        matches = self.match(left, right)
+        return self._figures(np.abs((matches.uv_right - matches.uv_left)[:, 0 if vertical else 1]))
+
+    def _figures(self, across: Array) -> dict[str, float]:
         known = len(across) > 0
         return {
             f"{self.name}_offset_px": float(across.mean()) if known else np.nan,
