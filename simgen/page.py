@@ -23,11 +23,20 @@ def section(title: str, body: str, note: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> str:
-    """A table of texts; ``numbers`` aligns all columns but the first to the right."""
+    """A table of texts; ``numbers`` aligns all columns but the first to the right.
+
+    The last cell of a row that is shorter than the head is a text that spans what is left.
+    """
     cells = "".join(f"<th>{escape(text)}</th>" for text in head)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in rows)
+    body = "".join(f"<tr>{_cells(row, len(head))}</tr>" for row in rows)
     style = ' class="numbers"' if numbers else ""
     return f"<table{style}><tr>{cells}</tr>{body}</table>"
+
+
+def _cells(row: Sequence[str], columns: int) -> str:
+    *cells, last = map(escape, row)
+    span = f' colspan="{columns - len(cells)}"' if len(row) < columns else ""
+    return "".join(f"<td>{cell}</td>" for cell in cells) + f"<td{span}>{last}</td>"
 
 
 def plain(name: str) -> str:
@@ -60,7 +69,8 @@ table { border-collapse: collapse; background: #fff; border: 1px solid #e3e6ea; 
 th, td { padding: .3rem .7rem; text-align: left; border-bottom: 1px solid #eef0f2; }
 th { font-weight: 600; color: #68707a; }
 .numbers :is(td, th):not(:first-child), .strata td { text-align: right; }
-.numbers td:not(:nth-child(2)) { white-space: nowrap; }
+.numbers td:not([colspan]) { white-space: nowrap; }
+.numbers td[colspan]:not(:first-child) { text-align: left; }
 .numbers, .strata td { font-variant-numeric: tabular-nums; }
 .strata { margin-bottom: 1rem; }
 .strata th { text-align: center; font-size: .78rem; padding: .25rem .45rem; }

@@ -426,6 +426,15 @@ def test_charts_of_the_whole_table_are_drawn_in_full(scores):
     assert all(f">{family}" in html for family in named)
 
 
+def test_why_a_row_is_missing_has_the_room_of_its_columns(scores):
+    html = report._table(scores, {"superglue+5dof": "copy\nthem <here>"}, {})
+    head, *rows = re.findall("<tr>.*?</tr>", html, re.DOTALL)
+    num = head.count("<th>")
+    assert rows[0].count("<td>") == num
+    said = "no weights: copy them &lt;here&gt;"
+    assert rows[-1] == f'<tr><td>superglue+5dof</td><td colspan="{num - 1}">{said}</td></tr>'
+
+
 def test_a_chart_has_the_best_method_of_each_matcher_and_unlike_names():
     errors = {"unrectified": 1.0, "a+x": 0.3, "a+y": 0.2, "b+x": 0.5, "a-paper+x": 9.0,
               "network": 0.4, "network+x": 0.3, "network+y": 0.5}  # fmt: skip

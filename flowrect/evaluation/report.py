@@ -74,6 +74,7 @@ def _lead(scores: Sequence[Score]) -> str:
 
 def _table(scores: Sequence[Score], unavailable: dict[str, str], trained: Mapping[str, str]) -> str:
     head, rows = tables.main_rows(scores, scores[0].translation, unavailable, trained)
+    rows = [row[:2] if row[0] in unavailable else row for row in rows]  # a reason has room
     notes = "".join(f"<p>{escape(note)}</p>" for note in tables.offset_notes(scores))
     return f'<div class="scroll">{table(head, rows, numbers=True)}</div>{notes}'
 
