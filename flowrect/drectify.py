@@ -157,11 +157,11 @@ def warp(
 
 def rectified_uv(rays: Tensor, R_rect: Tensor, K_new: Tensor) -> Tensor:
     """Positions (B, N, 2) [px] in the rectified image of rays (B, N, 3) of the camera frame."""
-    towards = rays @ (K_new @ R_rect).mT  # one product for rotation and projection
-    z = towards[..., 2:]
+    towards = (K_new @ R_rect) @ rays.mT  # one product for rotation and projection
+    z = towards[..., 2:, :]
     in_front = z > 0
-    uv = towards[..., :2] / torch.where(in_front, z, 1.0)
-    return torch.where(in_front, uv, BEHIND_PX)
+    uv = towards[..., :2, :] / torch.where(in_front, z, 1.0)  # by columns: all u, then all v
+    return torch.where(in_front, uv, BEHIND_PX).mT
 
 
 def _onto_axis(baseline: Tensor, vertical: Tensor) -> Tensor:

@@ -176,10 +176,11 @@ def inverse_intrinsics(K: Tensor) -> Tensor:
 
 def project(K: Tensor, points: Tensor) -> Tensor:
     """uv (…, N, 2) [px] of points (…, N, 3) of the camera frame; ``BEHIND_PX`` where z ≤ 0."""
-    z = points[..., 2:]
+    xyz = points.mT
+    z = xyz[..., 2:, :]
     in_front = z > 0
-    uv = (points @ K.mT)[..., :2] / torch.where(in_front, z, 1.0)
-    return torch.where(in_front, uv, BEHIND_PX)
+    uv = (K[..., :2, :] @ xyz) / torch.where(in_front, z, 1.0)  # by columns: all u, then all v
+    return torch.where(in_front, uv, BEHIND_PX).mT
 
 
 def unproject(K: Tensor, uv: Tensor) -> Tensor:

@@ -210,7 +210,7 @@ def test_what_a_network_says_stands_where_there_are_no_matches_and_is_noted(tmp_
     result = rectify_pair(method, "fitted", RIG, files)
     np.testing.assert_allclose(result.rig.T_right_left[:3, :3], TURN, atol=1e-12)
     assert any("not refined by matches: only 0 matches" in n for n in result.quality.notes)
-    with pytest.raises(UserError, match="no pose found: only 0 matches, expected at least 20"):
+    with pytest.raises(UserError, match="no pose found: only 0 matches, expected at least 30"):
         rectify_pair(FromMatches("sift", SOLVERS["5dof"]), "alone", RIG, files)
 
 

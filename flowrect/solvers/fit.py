@@ -26,7 +26,7 @@ from simgen.geometry import Array, rotation_from_vector, skew, vector_from_rotat
 
 INLIER_PX = 2.0
 """largest Sampson error of a match that supports a pose"""
-MIN_SUPPORT = 20
+MIN_SUPPORT = 30
 MIN_SHARE = 0.2
 """of supporting matches among all"""
 MAX_TURN_DEG = 10.0
@@ -50,7 +50,7 @@ class Fit:
     """standard deviation of the prior direction of t, about each axis"""
     R_sigma_deg: float = 3.0
     """of the prior rotation: next to nothing where there are matches"""
-    max_sigma_deg: float = 1.0
+    max_sigma_deg: float = 0.5
     """largest standard deviation of the turn about any axis: a few matches in one corner agree
     with many poses"""
 
@@ -89,13 +89,15 @@ def require_support(
 ) -> None:
     """NoSolution unless enough matches agree with a pose that is not far from the prior.
 
-    Some matches agree with any pose, by chance.
+    Some matches agree with any pose, by chance; those of two roads, whose horizons and lines are
+    alike, with a pose nearby, but half of them behind the cameras.
     """
-    support = np.abs(sampson_px(matches, K_left, K_right, solution.R, solution.t)) < INLIER_PX
+    seen = matches, K_left, K_right, solution.R, solution.t
+    support = (np.abs(sampson_px(*seen)) < INLIER_PX) & (parallax_px(*seen) > -INLIER_PX)
     if support.sum() < max(MIN_SUPPORT, MIN_SHARE * len(matches)):
         raise NoSolution(
             f"only {support.sum()} of {len(matches)} matches lie within {INLIER_PX:g} px of the "
-            f"best pose; expected {MIN_SUPPORT}, and {MIN_SHARE:.0%}. Do both images show the same "
+            f"best pose, and before its cameras; expected {MIN_SUPPORT}, and {MIN_SHARE:.0%}. Do both images show the same "
             "scene, and is the prior roughly right?"
         )
     turn_deg = np.rad2deg(np.linalg.norm(vector_from_rotation(solution.R @ prior[:3, :3].T)))
@@ -122,6 +124,19 @@ def sampson_px(matches: Matches, K_left: Array, K_right: Array, R: Array, t: Arr
     line_right, line_left = left @ F.T, right @ F
     square = (line_right[:, :2] ** 2).sum(1) + (line_left[:, :2] ** 2).sum(1)
     return np.asarray((right * line_right).sum(1) / np.sqrt(np.maximum(square, 1e-30)))
+
+
+def parallax_px(matches: Matches, K_left: Array, K_right: Array, R: Array, t: Array) -> Array:
+    """How far right ends (N,) [px] lie from where a point at infinity would be, on to nearer ones.
+
+    Along the epipolar line, under X_right = R X_left + t; negative behind the cameras.
+    """
+    rays_left, _ = matches.rays(K_left, K_right)
+    towards, epipole = rays_left @ (K_right @ R).T, K_right @ t
+    infinite = towards[:, :2] / towards[:, 2:]
+    nearer = epipole[:2] - epipole[2] * infinite  # d(uv) / d(1 / z), up to its scale
+    length = np.maximum(np.linalg.norm(nearer, axis=1), 1e-30)
+    return np.asarray(((matches.uv_right - infinite) * nearer).sum(1) / length)
 
 
 class _Problem:
