@@ -97,8 +97,8 @@ def require_support(
     if support.sum() < max(MIN_SUPPORT, MIN_SHARE * len(matches)):
         raise NoSolution(
             f"only {support.sum()} of {len(matches)} matches lie within {INLIER_PX:g} px of the "
-            f"best pose, and before its cameras; expected {MIN_SUPPORT}, and {MIN_SHARE:.0%}. Do both images show the same "
-            "scene, and is the prior roughly right?"
+            f"best pose, and before its cameras; expected {MIN_SUPPORT}, and {MIN_SHARE:.0%}. Do "
+            "both images show the same scene, and is the prior roughly right?"
         )
     turn_deg = np.rad2deg(np.linalg.norm(vector_from_rotation(solution.R @ prior[:3, :3].T)))
     if turn_deg > MAX_TURN_DEG:
