@@ -96,7 +96,7 @@ _NAMES = tuple(f.name for f in fields(Correspondences))
 
 
 def collate(items: Sequence[Correspondences]) -> Correspondences:
-    """Stacks single pairs (N, …) of equal N to tensors (B, N, …)."""
+    """Stacks single pairs (N, …) of equal N to tensors (B, N, …); a pair alone is not copied."""
     import torch
 
     sizes = {len(item.depth) for item in items}
@@ -105,8 +105,10 @@ def collate(items: Sequence[Correspondences]) -> Correspondences:
             f"collate: pairs have {sorted(sizes)} correspondences, expected one number for all; "
             "take the same num for each."
         )
-    stacked = {n: torch.stack([torch.as_tensor(getattr(c, n)) for c in items]) for n in _NAMES}
-    return Correspondences(**stacked)
+    of = {n: [torch.as_tensor(getattr(c, n)) for c in items] for n in _NAMES}
+    return Correspondences(
+        **{n: torch.stack(x) if len(x) > 1 else x[0][None] for n, x in of.items()}
+    )
 
 
 def from_frame(frame: Frame, pair: int, *, num: int | None = None) -> Correspondences:
