@@ -15,7 +15,7 @@ from tiny_network import road_set
 from flowrect.depth import STEREO, StereoMatcher, hitnet_weights, load_stereo
 from flowrect.depth_error import DepthSamples, matched
 from flowrect.evaluate_depth import Tally, by_range, main, rectified_by
-from flowrect.evaluation import one_page
+from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.depth_report import depth_rows
 from flowrect.evaluation.predictions import Origin, Prediction, file_name, write
@@ -121,6 +121,17 @@ def test_an_interrupted_run_looks_at_no_pair_again(given, tmp_path, capsys, monk
     monkeypatch.setattr("flowrect.evaluation.stamp.of_stereo", lambda *_: "other weights")
     assert main([*given, "--stereo", "flat"]) == 0
     assert len(looked) == 2 * times + 1
+
+
+def test_disparities_are_stamped_with_the_package_that_runs_the_network(tmp_path, monkeypatch):
+    path = tmp_path / "exported.onnx"
+    path.write_bytes(b"of some network")
+    before = stamp.of_stereo("sgbm"), stamp.of_stereo("onnx", str(path))
+    known = stamp._version
+    monkeypatch.setattr(stamp, "_versions", stamp._versions.__wrapped__)
+    monkeypatch.setattr(stamp, "_version", lambda n: "9" if n == "onnxruntime" else known(n))
+    assert stamp.of_stereo("sgbm") == before[0]
+    assert stamp.of_stereo("onnx", str(path)) != before[1]
 
 
 def test_commands_share_one_page_and_each_replaces_its_own_part(tmp_path):

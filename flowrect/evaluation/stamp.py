@@ -53,7 +53,8 @@ def of_flow() -> str:
 def of_stereo(name: str, weights: str = "") -> str:
     """Of everything that decides which disparity a stereo matcher finds; see ``load_stereo``."""
     files = [WEIGHTS[name](weights)] if name in WEIGHTS else []
-    return _digest([*_sources(["depth"]), *files])
+    runtime = ("onnxruntime",) if name == "onnx" else ()
+    return _digest([*_sources(["depth"]), *files], (*_PACKAGES, *runtime))
 
 
 def weights_of(name: str) -> list[Path]:
@@ -83,14 +84,14 @@ def _sources(names: Iterable[str]) -> list[Path]:
     return [f for p in paths for f in (sorted(p.glob("**/*.py")) if p.is_dir() else [p])]
 
 
-def _digest(paths: Iterable[Path]) -> str:
-    parts = [_versions().encode(), *(path.read_bytes() for path in paths)]
+def _digest(paths: Iterable[Path], packages: tuple[str, ...] = _PACKAGES) -> str:
+    parts = [_versions(packages).encode(), *(path.read_bytes() for path in paths)]
     return hashlib.sha256(b"\n".join(parts)).hexdigest()[:16]
 
 
 @cache
-def _versions() -> str:
-    return " ".join(f"{name} {_version(name)}" for name in _PACKAGES)
+def _versions(packages: tuple[str, ...]) -> str:
+    return " ".join(f"{name} {_version(name)}" for name in packages)
 
 
 def _version(name: str) -> str:
