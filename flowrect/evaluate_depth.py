@@ -6,8 +6,8 @@ to RESULTS; a pair for which a method failed is rectified by the prior, and coun
 not predicted is in none of its figures. All rectifications of a pair share the K_new of its nominal
 rig, and the length of its nominal baseline, which images do not tell. Rectified images are 512×256,
 as in every report. What a matcher said of two images is kept in RESULTS/disparity, so that the same
-command goes on after an interruption. Each stereo matcher and t have a table, depth.STEREO.T.csv,
-and their part of RESULTS/report.html.
+command goes on after an interruption. Each stereo matcher and t have a table, depth.STEREO.T.csv
+and .md, and their part of RESULTS/report.html.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from flowrect.evaluation.depth_report import (
 from flowrect.evaluation.kept_disparity import KeptDisparity
 from flowrect.evaluation.predictions import Prediction, file_name, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
+from flowrect.evaluation.tables import markdown
 from flowrect.sample import Pair
 from simgen.errors import UserError
 from simgen.geometry import Array
@@ -278,13 +279,21 @@ def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
                                  answerable.mae_m, answerable.median_m])  # fmt: skip
 
 
+HEAD = ("", *(f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)), "mean MAE")
+
+
 def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
     """MAE and median [m] of answerable pixels, and each method's coverage of all, by range."""
-    columns = [f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)]
-    result = Table("", *columns, "mean MAE", title=escape(title))
+    result = Table(*HEAD, title=escape(title))
     for row in depth_rows(ranges, counts):
         result.add_row(*map(escape, row))
     return result
+
+
+def write_markdown(path: Path, ranges: Ranges, counts: Mapping[str, Counts], title: str) -> None:
+    """The same as ``table``."""
+    rows = ([cell.replace("\n", ", ") for cell in row] for row in depth_rows(ranges, counts))
+    path.write_text(f"## Depth by {title}\n\n{markdown(HEAD, rows)}", encoding="utf-8")
 
 
 def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str]) -> None:
@@ -301,6 +310,7 @@ def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str
     sources = one_page.Sources.of(_delivery(options).open().fingerprint, tallies.keys() - own)
     path = one_page.put(options.results, name, sections, sources)
     title += ": MAE / median in m of pixels that are answered with the true pose, too; all answers"
+    write_markdown(options.results / f"{name}.md", ranges, counts, title)
     Console(width=200).print(table(ranges, counts, title))
     print(f"{path}: the same as curves, with pictures")
 

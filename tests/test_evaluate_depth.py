@@ -88,6 +88,11 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
         assert column["failing"] == column["wild"] == column[UNRECTIFIED]
         assert column["right"] == column[TRUTH]
     assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
+    written = (tmp_path / "results" / "depth.sgbm.nominal.md").read_text(encoding="utf-8")
+    rows = [line for line in written.splitlines() if line.startswith("| failing (3 failed) | ")]
+    assert len(rows) == 1
+    mae = float(of["failing"][0]["mae_answerable_m"])
+    assert rows[0].split(" | ")[1].startswith(f"{mae:.2f} / ")
     page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")
     shown = 3 * len(of) + 1  # three pairs, one of them also by the method that has begun
     assert page.count("data:image/jpeg") == 2 * shown  # an overlay and depth
