@@ -608,6 +608,16 @@ def test_a_method_without_weights_stays_in_the_table(scores):
     assert "| superglue+5dof | no weights: put them in models/ |" in text
 
 
+def test_methods_that_lack_the_same_weights_name_the_first_of_them(scores):
+    same = {"loftr+5dof": "it cannot\nbe loaded", "loftr+magsac": "it cannot\nbe loaded"}
+    why = {"superglue+5dof": "copy them", "superglue+magsac": "copy them", **same}
+    text = document(scores, why, {}, "", ("nominal",))
+    for row in ("| superglue+5dof | no weights: copy them |", "| loftr+magsac | as loftr+5dof |",
+                "| superglue+magsac | no weights: as superglue+5dof |",
+                "| loftr+5dof | it cannot be loaded |"):  # fmt: skip
+        assert text.count(row) == 1
+
+
 def test_stale_predictions_are_refused_before_anything_is_predicted(data, tmp_path, capsys):
     fingerprint = delivery(data).open().fingerprint
     origin = predictions.Origin("dis+5dof", "gt", fingerprint, "of another version")

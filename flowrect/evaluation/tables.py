@@ -194,21 +194,31 @@ def main_rows(
     trained: Mapping[str, str],
     figures: Sequence[str] = (),
 ) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: all methods of one translation; those that could not run say why.
+    """Head and rows: all methods of one translation; those that could not run say why, once.
 
     ``figures`` have a column even if none of these scores has them.
     """
     cells = columns(figures or figure_names(scores))
     rows = [[m, trained.get(g[0].method, "–"), *(cell(g) for cell in cells.values())]
             for m, g in groups_of(scores, translation).items()]  # fmt: skip
-    rows += [[m, _reason(why), *[""] * len(cells)] for m, why in unavailable.items()]
+    rows += [[m, why, *[""] * len(cells)] for m, why in _reasons(unavailable).items()]
     return ["method", "trained", *cells], rows
 
 
-def _reason(why: str) -> str:
-    """In one line; whatever cannot be loaded says so itself."""
+def _reasons(unavailable: Mapping[str, str]) -> dict[str, str]:
+    """Why each method could not run, in one line; those that share a reason name the first."""
+    first: dict[str, str] = {}
+    for method, why in unavailable.items():
+        first.setdefault(why, method)
+    return {m: _reason(why, "" if first[why] == m else f"as {first[why]}")
+            for m, why in unavailable.items()}  # fmt: skip
+
+
+def _reason(why: str, instead: str = "") -> str:
     line = " ".join(why.split())
-    return line if line.startswith("it cannot") else f"no weights: {line}"
+    if line.startswith("it cannot"):  # whatever cannot be loaded says so itself
+        return instead or line
+    return f"no weights: {instead or line}"
 
 
 def main_table(
