@@ -109,7 +109,7 @@ class _Truth:
     @staticmethod
     @torch.inference_mode()
     def of(prepared: Prepared) -> _Truth:
-        batch = collate([prepared])
+        batch = collate([Prepared(prepared.metric, prepared.metric)])  # the input is not looked at
         K = batch.K_left_metric, batch.K_right_metric
         nominal = rectify(batch.R_nominal, batch.t_nominal, *K, METRIC_WH)
         assert batch.R is not None
