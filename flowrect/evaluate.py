@@ -29,7 +29,7 @@ from rich.table import Table
 
 from flowrect.evaluation import one_page, tables
 from flowrect.evaluation.delivered import Delivery, Translation, wh_of
-from flowrect.evaluation.predict import OnProgress, Run, predict
+from flowrect.evaluation.predict import FAULT, OnProgress, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
@@ -62,9 +62,8 @@ class EvaluateOptions:
     turn_deg: float = 0.0
     """turns the cameras of rectified real pairs by known rotations, each component within ± this"""
     offsets: tuple[str, ...] = OFFSETS
-    """matchers that measure what is left between rectified images; aliked takes the place of the
-    paper's SuperGlue, which can be asked for where its weights are. Of the default, what cannot run
-    is left out"""
+    """matchers that measure what is left between rectified images; aliked is there for whoever
+    lacks the weights of the paper's SuperGlue. Of the default, what cannot run is left out"""
     flow_network: str = "raft"
     """RAFT that measures vertical flow between rectified images, as in the paper: shipped weights,
     some of flowrect.train_flow, torchvision or torchvision-large; "" for none"""
@@ -98,6 +97,12 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     for method, reason in left_out.items():
         _left_out(console, method, reason)
     rows = predictions_of(options.out, delivery.open().fingerprint)
+    if faults := sum(r.failure.startswith(FAULT) for of in rows.values() for r in of.values()):
+        console.print(
+            f"[yellow]{faults} predictions stand among the failures by a {FAULT}[/yellow], such as "
+            "too little memory: the same command tries them again.",
+            soft_wrap=True,
+        )
     unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
     with _Progress(console, "scoring") as progress:
         scores = scores_of(scoring, looks, progress)

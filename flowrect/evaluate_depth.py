@@ -2,12 +2,13 @@
 
 The paper's section 5.2: every pair is rectified by each method's pose, matched, and the depth of
 its left pixels compared with the truth. The poses are those that ``flowrect.evaluate`` has written
-to RESULTS; a pair for which a method failed is rectified by the prior, and counted; one that it has
-not predicted is in none of its figures. All rectifications of a pair share the K_new of its nominal
-rig, and the length of its nominal baseline, which images do not tell. Rectified images are 512×256,
-as in every report. What a matcher said of two images is kept in RESULTS/disparity, so that the same
-command goes on after an interruption. Each stereo matcher and t have a table, depth.STEREO.T.csv
-and .md, and their part of RESULTS/report.html.
+to RESULTS; a pair for which a method failed is rectified by the prior, and counted, and so is one
+whose pose lays the baseline upright, reverses it, or leaves the images nothing in common; one that
+was not predicted is in none of the method's figures. All rectifications of a pair share the K_new
+of its nominal rig, and the length of its nominal baseline, which images do not tell. Rectified
+images are 512×256, as in every report. What a matcher said of two images is kept in
+RESULTS/disparity, so that the same command goes on after an interruption. Each stereo matcher and t
+have a table, depth.STEREO.T.csv and .md, and their part of RESULTS/report.html.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
+from flowrect.correspondences import collate
 from flowrect.depth import STEREO, StereoMatcher, load_stereo
 from flowrect.depth.frame import DepthFrame, depth_frame
 from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, RangeError, matched
@@ -46,6 +48,7 @@ from flowrect.evaluation.kept_disparity import KeptDisparity
 from flowrect.evaluation.predictions import Prediction, file_name, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.evaluation.tables import markdown
+from flowrect.metrics import exact_vertical_flow
 from flowrect.sample import Pair
 from simgen.errors import UserError
 from simgen.geometry import Array
@@ -203,14 +206,16 @@ def _require_sign(truly_rectified: MatchedPair, pair: Pair, stereo: str) -> None
 def _by_prediction(
     row: Prediction, T_prior: Array, pair: Pair, translation: Translation
 ) -> tuple[Rectification, DepthFrame] | None:
-    """None if there is no pose, or it makes no rig of the cameras."""
+    """None if there is no pose, or nobody could match the images that it rectifies."""
     if row.estimate is None:
         return None
     t = T_prior[:3, 3] if translation == "gt" else row.estimate.t
     try:
-        return rectified_by(row.estimate.R, t, pair)
+        rect, frame = rectified_by(row.estimate.R, t, pair)
     except UserError:  # the baseline of a wild pose is vertical, or reversed
         return None
+    meet = pair.truth is None or not exact_vertical_flow(rect, collate([pair.truth])).isnan()
+    return (rect, frame) if meet else None
 
 
 def rectified_by(R: Array, t: Array, window: Pair) -> tuple[Rectification, DepthFrame]:
@@ -290,10 +295,17 @@ def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
     return result
 
 
-def write_markdown(path: Path, ranges: Ranges, counts: Mapping[str, Counts], title: str) -> None:
-    """The same as ``table``."""
+def write_markdown(
+    path: Path,
+    ranges: Ranges,
+    counts: Mapping[str, Counts],
+    title: str,
+    lacking: Mapping[str, str],
+) -> None:
+    """The same as ``table``, and why other stereo matchers could not run."""
     rows = ([cell.replace("\n", ", ") for cell in row] for row in depth_rows(ranges, counts))
-    path.write_text(f"## Depth by {title}\n\n{markdown(HEAD, rows)}", encoding="utf-8")
+    absent = "".join(f"\n{name}: {why}\n" for name, why in lacking.items())
+    path.write_text(f"## Depth by {title}\n\n{markdown(HEAD, rows)}{absent}", encoding="utf-8")
 
 
 def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str]) -> None:
@@ -310,7 +322,7 @@ def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str
     sources = one_page.Sources.of(_delivery(options).open().fingerprint, tallies.keys() - own)
     path = one_page.put(options.results, name, sections, sources)
     title += ": MAE / median in m of pixels that are answered with the true pose, too; all answers"
-    write_markdown(options.results / f"{name}.md", ranges, counts, title)
+    write_markdown(options.results / f"{name}.md", ranges, counts, title, lacking)
     Console(width=200).print(table(ranges, counts, title))
     print(f"{path}: the same as curves, with pictures")
 

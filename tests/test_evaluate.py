@@ -123,6 +123,7 @@ def test_angles_of_the_unrectified_pair_are_those_that_were_drawn(known):
         figures = next(s for s in of_pair if s.method == "unrectified").figures
         assert figures["geodesic_deg"] == pytest.approx(drawn, abs=1e-6)
         assert figures["vertical_flow_px"] > 0.1
+        assert 0 < figures["mae_valid"] < figures["mae_paper"]  # a mean of two views, and their sum
 
 
 def test_a_wrong_translation_leaves_vertical_flow_even_to_the_true_rotation(data):
@@ -497,26 +498,47 @@ def test_predictions_of_another_origin_are_refused(tmp_path):
 def test_matches_of_other_settings_or_damaged_ones_are_found_anew(wall, tmp_path):
     pair = Delivery(wall, "all", (256, 128), 1, 1.0).open()[0].input
     path = tmp_path / "m" / "0.npz"
-    first, seconds = _matches(path, "sift", pair)
-    assert _matches(path, "sift", pair)[1] == seconds  # read, not made
+    first = _matches(path, "sift", pair)
+    assert _matches(path, "sift", pair).seconds == first.seconds  # read, not made
     path.write_bytes(path.read_bytes()[:100])
-    again, _ = _matches(path, "sift", pair)
-    np.testing.assert_array_equal(first.uv_left, again.uv_left)
+    again = _matches(path, "sift", pair)
+    np.testing.assert_array_equal(first.matches.uv_left, again.matches.uv_left)
     np.savez(path, uv_left=np.zeros((1, 2)), stamp=np.array("of another version"))
-    assert len(_matches(path, "sift", pair)[0]) == len(first)
+    assert len(_matches(path, "sift", pair).matches) == len(first.matches)
 
 
-def test_a_wild_pose_is_a_failure_and_betters_no_mean(data):
+def test_seconds_of_matches_that_were_found_elsewhere_say_so(wall, tmp_path):
+    run = Run(Delivery(wall, "all", (256, 128), 1, 1.0), ("sift+5dof",), ("nominal",), tmp_path)
+    predict(run)
+    [first] = rows_of(run, "sift+5dof")
+    assert "matching" not in first.made_on
+    [path] = tmp_path.glob("matches/*/sift/*.npz")
+    with np.load(path) as file:
+        np.savez(path, **(dict(file) | {"made_on": np.array("a fast one, 64 threads")}))
+    predict(replace(run, methods=("sift+loransac",)))
+    [row] = rows_of(run, "sift+loransac")
+    assert row.made_on == f"matching a fast one, 64 threads; {first.made_on}"
+    assert row.known.seconds["matching"] == first.known.seconds["matching"]
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "why"),
+    [
+        ([0, 150, 0], "its rectified images have nothing in common"),
+        ([0, 0, 150], "its baseline lies across that of the rig"),
+    ],
+)
+def test_a_wild_pose_is_a_failure_and_betters_no_mean(data, turn_deg, why):
     pairs = delivery(data).open(None)
-    turn = Rotation.from_rotvec([0, 150, 0], degrees=True).as_matrix()
+    turn = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
     wild = predictions.Prediction(0, "", PoseEstimate(turn, np.array([-0.8, 0, 0])))
     none = predictions.Prediction(0, "", None, "found nothing")
     rows = {("m", "gt"): {0: wild}, ("none", "gt"): {0: none}}
     by_name = {s.method: s for s in scored(pairs, rows, ("gt",), 0, ())}
-    assert by_name["m"].failure == "its rectified images have nothing in common"
+    assert by_name["m"].failure == why
     figures, left_over = by_name["m"].figures, by_name["none"].figures
     assert figures["geodesic_deg"] > 140
-    assert figures["yaw_deg"] > 140
+    assert max(figures["yaw_deg"], figures["roll_deg"]) > 140
     for name in ("vertical_flow_px", "mae_paper", "disparity_bias_px"):
         assert 0 < abs(figures[name]) == abs(left_over[name])
 
@@ -707,6 +729,25 @@ def test_a_scoring_process_that_dies_is_said(wall, tmp_path, monkeypatch):
     monkeypatch.setattr(scoring, "_score", kill_oneself)
     with pytest.raises(UserError, match=r"scored pair 0 died .* take fewer --jobs"):
         evaluate(options, QUIET)
+
+
+def test_failures_by_a_fault_of_the_machine_are_said(wall, tmp_path, monkeypatch):
+    options = EvaluateOptions(wall, ("sift+5dof",), size="256x128", turn_deg=1.0, limit=1,
+                              translations=("nominal",), matched_pairs=0, out=tmp_path)  # fmt: skip
+
+    def predict_nothing(run: Run, _: object) -> dict[str, str]:
+        row = predictions.Prediction(0, "", None, f"{FAULT}: its process died")
+        made_by = stamp.of_method("sift+5dof")
+        origin = predictions.Origin(
+            "sift+5dof", "nominal", run.delivery.open().fingerprint, made_by
+        )
+        predictions.write(run.path("sift+5dof", "nominal"), [row], origin)
+        return {}
+
+    monkeypatch.setattr("flowrect.evaluate.predict", predict_nothing)
+    said = io.StringIO()
+    evaluate(options, Console(file=said, width=200))
+    assert "1 predictions stand among the failures by a fault of the machine" in said.getvalue()
 
 
 def test_a_method_without_weights_alone_is_no_crash(data, tmp_path):

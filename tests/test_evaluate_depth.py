@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planes import along_x, plane_pair, turned
+from scipy.spatial.transform import Rotation
 from tiny_network import road_set
 
 from flowrect.depth import STEREO, StereoMatcher, hitnet_weights, load_stereo
@@ -53,16 +54,18 @@ def ranges_of(path: Path) -> dict[str, list[dict[str, str]]]:
 
 @pytest.fixture
 def given(tmp_path: Path) -> list[str]:
-    """A set, and results on it: of the true pose, of a wild one, of a method that failed, and of
+    """A set, and results on it: of the true pose, of two wild ones, of a method that failed, and of
     one that was interrupted after a pair."""
     data = road_set(tmp_path / "set", frames=1)
     pairs = Delivery(data, "all", (96, 48)).open()
-    for method in ("right", "wild", "failing", "begun"):
+    away = Rotation.from_rotvec([0, 150, 0], degrees=True).as_matrix()
+    for method in ("right", "wild", "away", "failing", "begun"):
         rows = []
         for i in range(1 if method == "begun" else len(pairs)):
             T = pairs[i].input.T_right_left
             t = {"wild": np.array([0.0, -1.0, 0.0]), "failing": None}.get(method, T[:3, 3])
-            pose = None if t is None else PoseEstimate(T[:3, :3], t)
+            R = away if method == "away" else T[:3, :3]
+            pose = None if t is None else PoseEstimate(R, t)
             rows.append(Prediction(i, "", pose, "" if pose else "too few matches"))
         origin = Origin(method, "nominal", pairs.fingerprint, of_method(method))
         write(tmp_path / "results" / "predictions" / f"{method}.h5", rows, origin)
@@ -79,18 +82,20 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     assert "onnx: no weights: onnx stereo matcher: no file is named. Export a network" in printed
     assert "failing (3 failed)" in printed
     assert "wild (3 failed)" in printed  # its baseline is vertical
+    assert "away (3 failed)" in printed  # its images have nothing in common
     assert "begun (1 of 3 pairs)" in printed
     of = ranges_of(tmp_path / "results" / "depth.sgbm.nominal.csv")
     begun = of.pop("begun")
     assert {(r["pairs"], r["failed_pairs"]) for r in begun} == {("1", "0")}
     for figure in ("pixels", "coverage", "mae_m", "mae_answerable_m"):
         column = {name: [r[figure] for r in found] for name, found in of.items()}
-        assert column["failing"] == column["wild"] == column[UNRECTIFIED]
+        assert column["failing"] == column["wild"] == column["away"] == column[UNRECTIFIED]
         assert column["right"] == column[TRUTH]
     assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
     written = (tmp_path / "results" / "depth.sgbm.nominal.md").read_text(encoding="utf-8")
     rows = [line for line in written.splitlines() if line.startswith("| failing (3 failed) | ")]
     assert len(rows) == 1
+    assert "\nonnx: no weights: " in written
     mae = float(of["failing"][0]["mae_answerable_m"])
     assert rows[0].split(" | ")[1].startswith(f"{mae:.2f} / ")
     page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")

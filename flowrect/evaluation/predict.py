@@ -12,7 +12,7 @@ import os
 import platform
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ from itertools import groupby
 from multiprocessing.context import BaseContext
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -237,7 +237,9 @@ def _predict_one(
         return f"it cannot be loaded: {type(error).__name__}: {error}"
     row = partial(Prediction, i, pair.name, made_on=_made_on())
     try:
-        estimate = _estimated(method, pair, prior(pair, translation), folder, i)
+        found = _matched(method, pair, folder, i)
+        row = partial(row, made_on=_made_on(m.made_on for m in found))
+        estimate = _estimated(method, pair, prior(pair, translation), found)
         _require_pose(estimate)
         return row(estimate)
     except NoSolution as error:
@@ -258,9 +260,12 @@ def _is_fault(error: Exception) -> bool:
     return isinstance(error, OSError | MemoryError)
 
 
-def _made_on() -> str:
+def _made_on(matched_on: Iterable[str] = ()) -> str:
+    """Machine and threads of this process, after those that matches were found on if others."""
     machine = platform.processor() or platform.machine()
-    return f"{machine}, torch {torch.get_num_threads()}, OpenCV {cv2.getNumThreads()} threads"
+    here = f"{machine}, torch {torch.get_num_threads()}, OpenCV {cv2.getNumThreads()} threads"
+    others = dict.fromkeys(f"matching {m}" for m in matched_on if m != here)
+    return "; ".join([*others, here])
 
 
 def _require_pose(estimate: PoseEstimate) -> None:
@@ -270,14 +275,29 @@ def _require_pose(estimate: PoseEstimate) -> None:
         raise NoSolution(f"its answer is no pose: R =\n{R}\nt = {t}")
 
 
-def _estimated(method: Method, pair: Pair, start: Array, folder: Path, i: int) -> PoseEstimate:
+class _Matched(NamedTuple):
+    """What a matcher found, once for all methods."""
+
+    matches: Matches
+    seconds: float
+    made_on: str
+    """machine and threads"""
+
+
+def _matched(method: Method, pair: Pair, folder: Path, i: int) -> list[_Matched]:
+    """What a method begins with, by each part of its matcher; nothing if it looks for itself."""
+    if not isinstance(method, FromMatches):
+        return []
+    parts = PARTS.get(method.matcher, (method.matcher,))
+    return [_matches(folder / name / f"{i:06d}.npz", name, pair) for name in parts]
+
+
+def _estimated(method: Method, pair: Pair, start: Array, found: Sequence[_Matched]) -> PoseEstimate:
     given = pair.left, pair.right, pair.K_left, pair.K_right, start
     if not isinstance(method, FromMatches):
         return method(*given)
-    parts = PARTS.get(method.matcher, (method.matcher,))
-    found = [_matches(folder / name / f"{i:06d}.npz", name, pair) for name in parts]
-    seconds = Seconds(matching=sum(seconds for _, seconds in found))
-    return method.of_matches(joined([m for m, _ in found]), seconds, *given)
+    seconds = Seconds(matching=sum(m.seconds for m in found))
+    return method.of_matches(joined([m.matches for m in found]), seconds, *given)
 
 
 @lru_cache(maxsize=1)
@@ -301,16 +321,17 @@ def _method(load: Load, name: str) -> Method:
 _ARRAYS = ("uv_left", "uv_right", "score", "weight")
 
 
-def _matches(path: Path, matcher: str, pair: Pair) -> tuple[Matches, float]:
-    """The matches of a pair and the seconds that they took, from their file if there is one."""
+def _matches(path: Path, matcher: str, pair: Pair) -> _Matched:
+    """The matches of a pair, from their file if there is one."""
     made_by = stamp.of_matcher(matcher)
-    if (kept := read_arrays(path, "stamp", "seconds", *_ARRAYS)) is not None:
-        known_by, took_s, *matches = kept
+    if (kept := read_arrays(path, "stamp", "seconds", "made_on", *_ARRAYS)) is not None:
+        known_by, took_s, made_on, *matches = kept
         if str(known_by) == made_by:
-            return Matches(*matches), float(took_s)
+            return _Matched(Matches(*matches), float(took_s), str(made_on))
     seconds = Seconds()
     with seconds.of("matching"):
         found = load_matcher(matcher)(pair.left, pair.right)
+    made = _Matched(found, seconds["matching"], _made_on())
     arrays = {name: getattr(found, name) for name in _ARRAYS}
-    write_arrays(path, seconds=seconds["matching"], stamp=made_by, **arrays)
-    return found, seconds["matching"]
+    write_arrays(path, seconds=made.seconds, made_on=made.made_on, stamp=made_by, **arrays)
+    return made

@@ -1,8 +1,9 @@
 """Second pass: predictions to figures, pair by pair; see CONVENTIONS.md for what each one means.
 
 A pair for which a method failed is scored with the prior, which is what its user is left with, and
-counted. A pose whose rectified images have nothing in common fails, too: it has no figures in
-pixels, and takes the prior's, but its angles stay its own. Rectified images are 512×256.
+counted. A pose whose rectified images have nothing in common fails, too, and so does one that lays
+the baseline of a horizontal rig upright: it has no figures in pixels, and takes the prior's, but
+its angles stay its own. Rectified images are 512×256.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ class _Truth:
     """by the true pose, with the nominal one's K_new"""
     exact_views: RectifiedViews
     some: Correspondences | None
-    """of its points, enough for a bias"""
+    """of its points, enough for what is smooth"""
 
     @staticmethod
     @torch.inference_mode()
@@ -129,31 +130,31 @@ def _scored(
     looks: Sequence[Look],
 ) -> tuple[dict[str, float], str]:
     """Figures, and why they, or those in pixels, are the prior's if they are."""
-    as_it_is = row.estimate is nominal
+    if row.estimate is nominal:
+        return _figures(truth, nominal, translation, looks, as_it_is=True), ""
     if row.estimate is None:
         return _figures(truth, nominal, translation, looks), row.failure
-    figures = _figures(truth, row.estimate, translation, looks, as_it_is=as_it_is)
-    nothing_in_common = (
-        not _meet(truth, row.estimate, translation)
-        if truth.some is None
-        else np.isnan(figures["vertical_flow_px"])
-    )
-    if nothing_in_common and not as_it_is:
-        own = {name: figures[name] for name in ANGLES}
-        left_over = _figures(truth, nominal, translation, looks) | own
-        return left_over, "its rectified images have nothing in common"
-    return figures, ""
+    if useless := _useless(truth, row.estimate, translation):
+        own = _angles(truth, row.estimate)
+        return _figures(truth, nominal, translation, looks) | own, useless
+    return _figures(truth, row.estimate, translation, looks), ""
 
 
-def _meet(truth: _Truth, estimate: PoseEstimate, translation: Translation) -> bool:
-    """Whether the images, as the estimate rectifies them, fill some pixel both."""
+def _useless(truth: _Truth, estimate: PoseEstimate, translation: Translation) -> str:
+    """Why nobody could match the images that a pose rectifies; empty if one can."""
     batch = truth.batch
     assert batch.t is not None
     t = batch.t if translation == "gt" else _tensor(estimate.t)
     K = batch.K_left_metric, batch.K_right_metric
     rect = rectify(_tensor(estimate.R), t, *K, METRIC_WH)
-    seen = rectified_views(batch.left_metric, batch.right_metric, *K, rect)
-    return bool(seen.filled.all(1).any())
+    if bool(rect.vertical != truth.nominal.vertical):
+        return "its baseline lies across that of the rig"
+    if truth.some is None:
+        views = rectified_views(batch.left_metric, batch.right_metric, *K, rect)
+        meet = bool(views.filled.all(1).any())
+    else:
+        meet = not exact_vertical_flow(rect, truth.some).isnan()
+    return "" if meet else "its rectified images have nothing in common"
 
 
 def _methods(rows: Rows, translation: Translation) -> list[str]:
@@ -181,17 +182,15 @@ def _figures(
     R = _tensor(estimate.R)
     rect = rectify(R, t, *K, METRIC_WH)
     one_scale = rectify(R, t, *K, METRIC_WH, K_new=truth.nominal.K_new)
-    angles = *angles_deg(batch.R, R)[0].abs().tolist(), geodesic_deg(batch.R, R).item()
+    images, filled = torch.stack(views[:2], dim=1), torch.ones((1, 2, *METRIC_WH[::-1])).bool()
+    as_they_are = RectifiedViews(images, filled, truth.nominal.K_new)
+    seen = as_they_are if as_it_is else rectified_views(*views, one_scale)
+    error = rectified_image_error(seen, truth.exact_views)
     found = {
-        **dict(zip(ANGLES, angles, strict=True)),
+        **_angles(truth, estimate),
         "vertical_flow_px": np.nan, "disparity_bias_px": np.nan,
+        "mae_paper": error.paper.item(), "mae_valid": error.valid.item(),
     }  # fmt: skip
-    if as_it_is:
-        error_now = (torch.stack(views[:2], dim=1) - truth.exact_views.images).abs().mean()
-        found |= {"mae_paper": 2 * error_now.item(), "mae_valid": np.nan}
-    else:
-        error = rectified_image_error(rectified_views(*views, one_scale), truth.exact_views)
-        found |= {"mae_paper": error.paper.item(), "mae_valid": error.valid.item()}
     if batch.truth is not None and truth.some is not None:
         found["disparity_bias_px"] = disparity_bias(one_scale, truth.exact, truth.some).item()
         found["vertical_flow_px"] = (
@@ -201,14 +200,20 @@ def _figures(
         )
     if not looks:
         return found
-    images, valid = torch.stack(views[:2], dim=1), torch.ones(METRIC_WH[::-1], dtype=torch.bool)
-    if not as_it_is:
-        seen = rectified_views(*views, rect)
-        images, valid = seen.images, seen.filled[0].all(0)
-    left, right = map(_image, images.unbind(1))
+    seen = as_they_are if as_it_is else rectified_views(*views, rect)
+    left, right = map(_image, seen.images.unbind(1))
+    valid = seen.filled[0].all(0).numpy()
     for look in looks:
-        found |= look.figures(left, right, valid.numpy(), vertical=bool(truth.nominal.vertical))
+        found |= look.figures(left, right, valid, vertical=bool(truth.nominal.vertical))
     return found
+
+
+def _angles(truth: _Truth, estimate: PoseEstimate) -> dict[str, float]:
+    """Sizes of its errors [°]."""
+    assert truth.batch.R is not None
+    R = _tensor(estimate.R)
+    errors = *angles_deg(truth.batch.R, R)[0].abs().tolist(), geodesic_deg(truth.batch.R, R).item()
+    return dict(zip(ANGLES, errors, strict=True))
 
 
 def _tensor(x: np.ndarray) -> Tensor:

@@ -19,8 +19,9 @@ from flowrect.evaluation.scores import Score, scored
 from flowrect.matchers import MATCHERS, load_matcher
 from simgen.errors import UserError
 
-OFFSETS = ("sift-paper", "aliked")
-"""measured if nothing is asked for, where they can be; aliked in place of the paper's SuperGlue"""
+OFFSETS = ("sift-paper", "aliked", "superglue")
+"""measured if nothing is asked for, where they can be; aliked as what needs no weights from
+elsewhere, beside the paper's SuperGlue"""
 
 
 @dataclass(frozen=True)
