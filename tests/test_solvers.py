@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from flowrect.matchers import joined
 from flowrect.matches import Matches
-from flowrect.methods import METHODS, load_method
+from flowrect.methods import METHODS, FromMatches, Seconds, load_method
+from flowrect.resize import resized_intrinsics
 from flowrect.solvers import SOLVERS, NoSolution
 from flowrect.solvers.fit import (
     FIVE_DOF,
@@ -48,6 +50,24 @@ def seen(
     bad = rng.random(len(uv)) < wrong
     uv_right[bad] = rng.uniform(0, np.array(WH) - 1, (bad.sum(), 2))
     return Matches(*(x + rng.normal(0, noise_px, x.shape) for x in (uv, uv_right)))
+
+
+@pytest.mark.parametrize("solver", [*ALL, "loransac-paper"])
+def test_thresholds_are_in_pixels_of_what_the_matcher_saw(solver):
+    """A pair of 2560x1280 whose matches were found at 1024x512 is solved as one of 1024x512."""
+    matches = seen(TRUE, noise_px=0.5, wrong=0.2)
+    size, method = 2.5, FromMatches("aliked", SOLVERS[solver])
+    large = Matches(*((uv + 0.5) * size - 0.5 for uv in (matches.uv_left, matches.uv_right)),
+                    seen_px=size)  # fmt: skip
+    K_large = [resized_intrinsics(K, size, size) for K in (K_LEFT, K_RIGHT)]
+    small, found = (
+        method.of_matches(m, Seconds(), None, None, *K, NOMINAL)
+        for m, K in ((matches, (K_LEFT, K_RIGHT)), (large, K_large))
+    )
+    np.testing.assert_allclose(found.T_right_left, small.T_right_left, atol=1e-6)
+    assert found.num_inliers == small.num_inliers
+    half = large.subset(slice(None, None, 2))
+    assert (half.seen_px, joined([half, matches]).seen_px) == (size, size)
 
 
 def turn_deg(R: Array, T: Array) -> Array:

@@ -26,6 +26,11 @@ from numpy.typing import NDArray
 from flowrect.sample import Image
 from simgen.errors import UserError
 
+PUBLISHED = (
+    "DLNR at https://github.com/David-Zhao-1997/High-frequency-Stereo-Matching-Network (no licence "
+    "in its README: ask its authors), RAFT-Stereo at https://github.com/princeton-vl/RAFT-Stereo "
+    "(MIT)"
+)
 VARIABLE = "FLOWRECT_STEREO_ONNX"
 """environment variable that names a file"""
 MULTIPLE = 32
@@ -78,8 +83,10 @@ def find_onnx(weights: str = "") -> Path:
     if not Path(name).is_file():
         what = f"{name}: no such file" if name else "no file is named"
         raise UserError(
-            f"onnx stereo matcher: {what}. Export a network (DLNR, RAFT-Stereo, …) to ONNX as "
-            f"flowrect/depth/external.py says, and name the file, or set {VARIABLE} to it."
+            f"onnx stereo matcher (DLNR and others): {what}. Nothing is fetched from here: take "
+            f"{PUBLISHED}, export the network to ONNX as flowrect/depth/external.py says, and name "
+            f"the file (onnx=FILE), or set {VARIABLE} to it. sgbm needs no weights, and hitnet's "
+            "are shipped."
         )
     return Path(name)
 

@@ -318,16 +318,16 @@ def _method(load: Load, name: str) -> Method:
     return method
 
 
-_ARRAYS = ("uv_left", "uv_right", "score", "weight")
+_ARRAYS = ("uv_left", "uv_right", "score", "weight", "seen_px")
 
 
 def _matches(path: Path, matcher: str, pair: Pair) -> _Matched:
     """The matches of a pair, from their file if there is one."""
     made_by = stamp.of_matcher(matcher)
     if (kept := read_arrays(path, "stamp", "seconds", "made_on", *_ARRAYS)) is not None:
-        known_by, took_s, made_on, *matches = kept
+        known_by, took_s, made_on, *points, seen_px = kept
         if str(known_by) == made_by:
-            return _Matched(Matches(*matches), float(took_s), str(made_on))
+            return _Matched(Matches(*points, seen_px=float(seen_px)), float(took_s), str(made_on))
     seconds = Seconds()
     with seconds.of("matching"):
         found = load_matcher(matcher)(pair.left, pair.right)

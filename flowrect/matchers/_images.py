@@ -69,7 +69,13 @@ def matches_of(
     for end, image in zip(ends, seen, strict=True):
         kept &= ((end >= -0.5) & (end <= np.array(image.shape[1::-1]) - 0.5)).all(1)
     left, right = (magnified(*x) for x in zip(ends, seen, images, strict=True))
-    return Matches(left, right, score.detach().double().numpy()).subset(kept)
+    found = Matches(left, right, score.detach().double().numpy(), seen_px=seen_px(seen, images))
+    return found.subset(kept)
+
+
+def seen_px(seen: Sequence[Image], images: Sequence[Image]) -> float:
+    """Side of the largest pixel of shrunk images, in pixels of the images."""
+    return max(max(x.shape[:2]) / max(s.shape[:2]) for s, x in zip(seen, images, strict=True))
 
 
 def no_matches() -> Matches:

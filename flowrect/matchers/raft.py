@@ -17,6 +17,7 @@ from flowrect.matchers._images import (
     magnified,
     no_matches,
     same_size,
+    seen_px,
     shrunk,
     tensor_of,
 )
@@ -65,4 +66,5 @@ def _match(left: Image, right: Image, *, net: FlowNetwork) -> Matches:
     forth, back = flow[:, :, :h, :w].permute(0, 2, 3, 1).contiguous().numpy()
     found = consistent(forth, back, step=STEP, cycle_px=CYCLE_PX)
     uv_left, uv_right = (magnified(x, seen[0], left) for x in (found.uv_left, found.uv_right))
-    return worth(Matches(uv_left, uv_right, found.score), WORTH)
+    size = seen_px(seen, (left, right))
+    return worth(Matches(uv_left, uv_right, found.score, seen_px=size), WORTH)

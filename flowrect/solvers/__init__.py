@@ -1,4 +1,7 @@
-"""Solvers by name: from matches, intrinsics and a prior to a pose; all with one signature."""
+"""Solvers by name: from matches, intrinsics and a prior to a pose; all with one signature.
+
+Thresholds are in pixels of what the matcher saw: hand over what ``Matches.as_seen`` returns.
+"""
 
 from __future__ import annotations
 
