@@ -28,6 +28,7 @@ from rich.progress import track
 
 from flowrect.evaluation.delivered import Delivery, prior, wh_of
 from flowrect.files import make_folder
+from flowrect.memory import keep_freed_memory
 from flowrect.methods import TABLE, Method, load_method
 from flowrect.sample import Pair
 from flowrect.solvers import NoSolution
@@ -67,6 +68,7 @@ class Timing:
 
 def timed(name: str, options: Options) -> list[Timing]:
     """Of each pair, without the first one."""
+    keep_freed_memory()  # as the commands do
     if options.threads:
         torch.set_num_threads(options.threads)
         cv2.setNumThreads(options.threads)

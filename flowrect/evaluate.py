@@ -35,6 +35,7 @@ from flowrect.evaluation.report import report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
 from flowrect.evaluation.scoring import OFFSETS, Scoring, scores_of
 from flowrect.files import make_folder, read_json
+from flowrect.memory import keep_freed_memory
 from flowrect.methods import METHODS, TABLE, training_of
 from simgen.errors import UserError
 from simgen.shards import write_atomically
@@ -195,6 +196,7 @@ def shown(scores: Sequence[Score], translation: str) -> Table:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
     options = tyro.cli(EvaluateOptions, args=arguments, prog="flowrect.evaluate")
+    keep_freed_memory()
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
     try:
         scores = evaluate(options, console)

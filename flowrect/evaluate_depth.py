@@ -48,6 +48,7 @@ from flowrect.evaluation.kept_disparity import KeptDisparity
 from flowrect.evaluation.predictions import Prediction, file_name, predictions_of
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
 from flowrect.evaluation.tables import markdown
+from flowrect.memory import keep_freed_memory
 from flowrect.metrics import exact_vertical_flow
 from flowrect.sample import Pair
 from simgen.errors import UserError
@@ -330,6 +331,7 @@ def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
     options = tyro.cli(EvaluateDepthOptions, args=arguments, prog="flowrect.evaluate_depth")
+    keep_freed_memory()
     try:
         _require_sensible(options)
         lacking, stopped = _write_all(options)

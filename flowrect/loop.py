@@ -26,6 +26,7 @@ from flowrect.config import LoopOptions
 from flowrect.files import make_folder
 from flowrect.geometry import angles_per_axis_rad
 from flowrect.loading import Loading, PairLoader
+from flowrect.memory import keep_freed_memory
 from flowrect.resize import Sizing
 from flowrect.runlog import RunLog, Stopwatch
 from flowrect.sample import Batch
@@ -83,6 +84,7 @@ def train(make_task: Callable[[], Task], options: LoopOptions) -> dict[str, floa
     """
     _require_sensible(options)
     started = time.monotonic()
+    keep_freed_memory()
     accelerator = make_accelerator(options)
     make_folder(options.out)
     torch.manual_seed(options.loading.seed)

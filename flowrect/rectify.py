@@ -29,6 +29,7 @@ from rich.progress import track
 from flowrect.calibration import Calibration, Projections, projections
 from flowrect.files import make_folder, read_json, read_rgb
 from flowrect.formats import kalibr, opencv, read_calibration, ros
+from flowrect.memory import keep_freed_memory
 from flowrect.methods import Method, PoseEstimate, load_method
 from flowrect.overlay import View, draw_overlay
 from flowrect.quality import MIN_MATCHES, MatchedRays, sift_matches
@@ -366,6 +367,7 @@ def _axes(quality: Quality) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 if the user has to mend something, 130 after Ctrl-C."""
     options = tyro.cli(RectifyOptions, args=arguments, prog="flowrect.rectify")
+    keep_freed_memory()
     console = Console(highlight=False)
     try:
         return 2 if run(options, console) else 0

@@ -34,6 +34,7 @@ from flowrect.evaluation.kept import read_arrays, write_arrays
 from flowrect.evaluation.predictions import Origin, Prediction
 from flowrect.matchers import PARTS, joined, load_matcher
 from flowrect.matches import Matches
+from flowrect.memory import keep_freed_memory
 from flowrect.methods import FromMatches, Method, PoseEstimate, Seconds, load_method
 from flowrect.sample import Pair, Prepared
 from flowrect.solvers import NoSolution
@@ -194,6 +195,7 @@ def stop_if_interrupted(pool: ProcessPool, error: object, *_: object) -> None:
 
 def share_cores(jobs: int) -> None:
     """Called in one of so many processes: torch and OpenCV take its share of the cores."""
+    keep_freed_memory()
     threads = max(1, min(torch.get_num_threads(), (os.cpu_count() or 1) // jobs))
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
