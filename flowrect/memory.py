@@ -18,7 +18,9 @@ PAD_BYTES = 64 << 20
 
 def keep_freed_memory() -> bool:
     """For the whole process, from now on; False where the C library is another one than glibc."""
-    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+    if sys.platform != "linux":
+        return False
+    libc = ctypes.CDLL(None)
     if not hasattr(libc, "mallopt"):
         return False
     wanted = ((MMAP_MAX, 0), (TRIM_THRESHOLD, -1), (TOP_PAD, PAD_BYTES))
