@@ -3,12 +3,13 @@
     python benchmarks/kept_memory.py --data test/ [--size 1024x512] [--threads 2]
 
 A training step of the small preset (8 pairs), and methods on one pair, with and without, each in a
-process of its own, in turn: medians, and their ratio.
+process of its own, in turn: medians, and their ratio; and the peak of the process's memory.
 """
 
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 import time
@@ -30,6 +31,7 @@ from flowrect.sample import collate
 from flowrect.weights import find_weights, load_weights
 
 BATCH = 8
+PEAK = "peak of the whole [GiB]"
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ def main(options: Options) -> None:
         if options.only == "kept" and not keep_freed_memory():
             sys.exit("This C library is not glibc: nothing can be kept.")
         seconds = {n: median_seconds(t, options.repeats) for n, t in tasks(options).items()}
-        print(json.dumps(seconds))
+        peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(json.dumps({**seconds, PEAK: peak_gib}))
         return
     kinds = ("given-back", "kept")
     found = {kind: [] for kind in kinds}

@@ -98,12 +98,6 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     for method, reason in left_out.items():
         _left_out(console, method, reason)
     rows = predictions_of(options.out, delivery.open().fingerprint)
-    if faults := sum(r.failure.startswith(FAULT) for of in rows.values() for r in of.values()):
-        console.print(
-            f"[yellow]{faults} predictions stand among the failures by a {FAULT}[/yellow], such as "
-            "too little memory: the same command tries them again.",
-            soft_wrap=True,
-        )
     unavailable = _kept(options.out / "unavailable.json", left_out, {m for m, _ in rows})
     with _Progress(console, "scoring") as progress:
         scores = scores_of(scoring, looks, progress)
@@ -112,6 +106,13 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     sections = report(scores, rows, delivery.open(), unavailable, trained)
     sources = one_page.Sources.of(delivery.open().fingerprint, (method for method, _ in rows))
     one_page.put(options.out, one_page.FIRST, sections, sources)
+    own = [rows.get((m, t), {}) for m in options.methods for t in options.translations]
+    if faults := sum(r.failure.startswith(FAULT) for of in own for r in of.values()):
+        console.print(
+            f"[yellow]{faults} predictions stand among the failures by a {FAULT}[/yellow], such as "
+            "too little memory: the same command tries them again.",
+            soft_wrap=True,
+        )
     return scores
 
 

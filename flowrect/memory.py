@@ -2,7 +2,8 @@
 
 By default the C library maps every tensor of more than 128 kB (later: 32 MB) anew, and the kernel
 clears its pages before it hands them out: on a CPU that was a sixth of a training step and of RAFT,
-and a quarter of ALIKED (``benchmarks/kept_memory.py``). A command keeps all that it has ever had.
+and a quarter of ALIKED (``benchmarks/kept_memory.py``). The price is memory: a command keeps all
+that it has ever had, and what lies between tensors of unlike sizes.
 """
 
 from __future__ import annotations

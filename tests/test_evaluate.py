@@ -503,6 +503,9 @@ def test_matches_of_other_settings_or_damaged_ones_are_found_anew(wall, tmp_path
     path.write_bytes(path.read_bytes()[:100])
     again = _matches(path, "sift", pair)
     np.testing.assert_array_equal(first.matches.uv_left, again.matches.uv_left)
+    with np.load(path) as file:
+        np.savez(path, **(dict(file) | {"seen_px": np.array(2.5)}))
+    assert _matches(path, "sift", pair).matches.seen_px == 2.5
     np.savez(path, uv_left=np.zeros((1, 2)), stamp=np.array("of another version"))
     assert len(_matches(path, "sift", pair).matches) == len(first.matches)
 
@@ -517,7 +520,7 @@ def test_seconds_of_matches_that_were_found_elsewhere_say_so(wall, tmp_path):
         np.savez(path, **(dict(file) | {"made_on": np.array("a fast one, 64 threads")}))
     predict(replace(run, methods=("sift+loransac",)))
     [row] = rows_of(run, "sift+loransac")
-    assert row.made_on == f"matching a fast one, 64 threads; {first.made_on}"
+    assert row.made_on == f"{first.made_on} (matching: a fast one, 64 threads)"
     assert row.known.seconds["matching"] == first.known.seconds["matching"]
 
 
@@ -647,7 +650,9 @@ def test_stale_predictions_are_refused_before_anything_is_predicted(data, tmp_pa
     arguments = ["--data", str(data), "--methods", "sift+5dof", "--size", "96x48",
                  "--split", "all", "--out", str(tmp_path)]  # fmt: skip
     assert main(arguments) == 2
-    assert "predictions of other settings, weights or another version" in capsys.readouterr().err
+    assert (
+        "predictions of other settings, weights (FLOWRECT_MODELS, too)" in capsys.readouterr().err
+    )
 
 
 def photograph_on_a_wall(folder: Path) -> Path:
@@ -747,6 +752,9 @@ def test_failures_by_a_fault_of_the_machine_are_said(wall, tmp_path, monkeypatch
     monkeypatch.setattr("flowrect.evaluate.predict", predict_nothing)
     said = io.StringIO()
     evaluate(options, Console(file=said, width=200))
+    monkeypatch.setattr("flowrect.evaluate.predict", lambda *_: {})
+    evaluate(replace(options, methods=("dis+5dof",)), Console(file=said, width=200))
+    assert said.getvalue().count("stand among") == 1  # others are not tried again by this command
     assert "1 predictions stand among the failures by a fault of the machine" in said.getvalue()
 
 

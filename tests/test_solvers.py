@@ -52,7 +52,7 @@ def seen(
     return Matches(*(x + rng.normal(0, noise_px, x.shape) for x in (uv, uv_right)))
 
 
-@pytest.mark.parametrize("solver", [*ALL, "loransac-paper"])
+@pytest.mark.parametrize("solver", ALL)
 def test_thresholds_are_in_pixels_of_what_the_matcher_saw(solver):
     """A pair of 2560x1280 whose matches were found at 1024x512 is solved as one of 1024x512."""
     matches = seen(TRUE, noise_px=0.5, wrong=0.2)

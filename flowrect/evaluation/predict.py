@@ -263,11 +263,11 @@ def _is_fault(error: Exception) -> bool:
 
 
 def _made_on(matched_on: Iterable[str] = ()) -> str:
-    """Machine and threads of this process, after those that matches were found on if others."""
+    """Machine and threads of this process, and those that matches were found on if others."""
     machine = platform.processor() or platform.machine()
     here = f"{machine}, torch {torch.get_num_threads()}, OpenCV {cv2.getNumThreads()} threads"
-    others = dict.fromkeys(f"matching {m}" for m in matched_on if m != here)
-    return "; ".join([*others, here])
+    others = dict.fromkeys(f" (matching: {m})" for m in matched_on if m != here)
+    return "".join([here, *others])
 
 
 def _require_pose(estimate: PoseEstimate) -> None:

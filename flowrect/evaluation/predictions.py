@@ -120,7 +120,7 @@ def read(path: Path, origin: Origin) -> list[Prediction]:
 
 
 _WORDS = {"method": "another method", "translation": "another t", "data": "other pairs or sizes",
-          "stamp": "other settings, weights or another version"}  # fmt: skip
+          "stamp": "other settings, weights (FLOWRECT_MODELS, too) or another version"}  # fmt: skip
 
 
 def origin_of(path: Path) -> Origin:

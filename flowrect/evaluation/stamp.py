@@ -42,6 +42,8 @@ _OWN_PACKAGES = {
 """of one matcher: its network, or its weights"""
 _BROUGHT = ("superglue", "loftr", "efficientloftr")
 """matchers whose weights a user brings"""
+READ = (".safetensors", ".ckpt", ".pth", ".json")
+"""files of weights, and what describes their network"""
 
 
 @cache
@@ -59,7 +61,7 @@ def of_method(name: str) -> str:
 @cache
 def of_flow() -> str:
     """Of the code that flow by RAFT comes from."""
-    return _digest(_sources(["flow_network.py"]))
+    return _digest(_sources(["flow_network.py"]), _packages("raft"))
 
 
 def of_stereo(name: str, weights: str = "") -> str:
@@ -81,7 +83,7 @@ def weights_of(name: str) -> list[Path]:
         return [find_flow(raft.weights())]
     if network in _BROUGHT:
         folder = import_module(f"flowrect.matchers.{network}").WEIGHTS.folder()
-        return sorted(p for p in folder.iterdir() if p.is_file()) if folder else []
+        return sorted(p for p in folder.iterdir() if p.suffix in READ) if folder else []
     path = SHIPPED / f"{network}.safetensors"
     return [path] if network in TRAINED and path.is_file() else []
 
