@@ -1,10 +1,10 @@
 """How much of an evaluation is the harness: reading, preparing, scoring, tables, pictures.
 
-    python benchmarks/harness_share.py --data test/ [--method network] [--limit 0] [--jobs 1]
+    python benchmarks/harness_share.py --data test/ [--method network] [--limit 0] [--jobs 0]
 
 Runs ``flowrect.evaluate`` for one method into a folder of its own and compares its wall time, of
-each process, with the seconds that the method itself took, as its predictions have them. The bar is
-a share of 10 %.
+each process that predicts, with the seconds that the method itself took, as its predictions have
+them. The bar is a share of 10 %.
 Offsets are measured by SIFT alone: what ALIKED and RAFT take is theirs, not the harness's.
 """
 
@@ -35,9 +35,8 @@ class Options:
     size: str = "1024x512"
     limit: int = 0
     """pairs; 0: all"""
-    jobs: int = 1
-    """processes, each with its share of the cores; one has all of them, of which only the method
-    makes use"""
+    jobs: int = 0
+    """as flowrect.evaluate has it; by default one process predicts, with all cores"""
     out: Path | None = None
     """a new folder, from which flowrect.evaluate may go on; without it nothing is kept"""
 
@@ -59,11 +58,12 @@ def main(options: Options) -> None:
         whole = time.perf_counter() - start
         with (folder / "scores.csv").open(newline="") as file:
             rows = [row for row in csv.DictReader(file) if row["method"] == options.method]
+    jobs = options.jobs or 1
     own = sum(s for row in rows if math.isfinite(s := float(row["seconds"])))
     print(
         f"{len(rows)} pairs on {platform.processor() or platform.machine()}: {whole:.0f} s of "
-        f"{options.jobs} processes, of which {options.method} took {own:.0f} s; the harness is "
-        f"{1 - own / (options.jobs * whole):.1%}"
+        f"{jobs} predicting, of which {options.method} took {own:.0f} s; the harness is "
+        f"{1 - own / (jobs * whole):.1%}"
     )
 
 

@@ -33,7 +33,7 @@ from flowrect.evaluation.predict import FAULT, OnProgress, Run, predict
 from flowrect.evaluation.predictions import predictions_of
 from flowrect.evaluation.report import report
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
-from flowrect.evaluation.scoring import OFFSETS, Scoring, scores_of
+from flowrect.evaluation.scoring import OFFSETS, Scoring, scorers, scores_of
 from flowrect.files import make_folder, read_json
 from flowrect.memory import keep_freed_memory
 from flowrect.methods import METHODS, TABLE, training_of
@@ -72,8 +72,9 @@ class EvaluateOptions:
     """pairs, evenly chosen, for these two, which take seconds a row; 0: they are not measured"""
     time_limit_s: float = 120.0
     """that a method may take for a pair; then it is stopped, which counts as a failure"""
-    jobs: int = 1
-    """processes that predict, and that score, each of which takes whole pairs"""
+    jobs: int = 0
+    """processes that predict, and that score, each of which takes whole pairs and one to two GB; 0:
+    one predicts, with all cores, and up to four score, each with its own"""
     root: Path | None = None
     """folder that the paths of a list are relative to"""
     out: Path = Path("results")
@@ -86,13 +87,14 @@ def evaluate(options: EvaluateOptions, console: Console) -> list[Score]:
     delivery = Delivery(options.data, options.split, wh_of(options.size), options.limit,
                         options.turn_deg, root=options.root)  # fmt: skip
     scoring = Scoring(delivery, options.translations, options.out, options.offsets,
-                      options.flow_network, options.matched_pairs, options.jobs)  # fmt: skip
+                      options.flow_network, options.matched_pairs,
+                      options.jobs or scorers(len(delivery.open())))  # fmt: skip
     looks, blind = scoring.looks()
     for matcher, reason in blind.items():
         _left_out(console, f"offsets by {matcher}", reason)
     predictions_of(options.out, delivery.open().fingerprint)  # raises now if some are stale
     run = Run(delivery, options.methods, options.translations, options.out,
-              options.time_limit_s, options.jobs)  # fmt: skip
+              options.time_limit_s, options.jobs or 1)  # fmt: skip
     with _Progress(console, "predicting") as progress:
         left_out = predict(run, progress)
     for method, reason in left_out.items():
@@ -148,7 +150,7 @@ def _require_sensible(options: EvaluateOptions) -> None:
     for name, value, least in (
         ("--limit", options.limit, 0),
         ("--matched-pairs", options.matched_pairs, 0),
-        ("--jobs", options.jobs, 1),
+        ("--jobs", options.jobs, 0),
         ("--time-limit-s", options.time_limit_s, 1),
         ("--turn-deg", options.turn_deg, 0),
     ):

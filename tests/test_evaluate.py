@@ -728,6 +728,13 @@ def test_offsets_that_were_asked_for_and_cannot_run_are_refused(wall, tmp_path, 
         evaluate(options, QUIET)
 
 
+def test_many_pairs_are_scored_by_several_processes(monkeypatch):
+    monkeypatch.setattr(scoring.os, "cpu_count", lambda: 64)
+    assert [scoring.scorers(n) for n in (0, 3, 31, 32, 261)] == [1, 1, 1, 2, 4]
+    monkeypatch.setattr(scoring.os, "cpu_count", lambda: 2)
+    assert scoring.scorers(261) == 2
+
+
 def test_a_scoring_process_that_dies_is_said(wall, tmp_path, monkeypatch):
     options = EvaluateOptions(wall, ("sift+5dof",), size="256x128", turn_deg=1.0, limit=2,
                               matched_pairs=0, jobs=2, out=tmp_path)  # fmt: skip
@@ -898,7 +905,7 @@ def test_a_limit_is_spread_over_the_set(data):
     ("more", "message"),
     [
         (["--methods", "sift+6dof"], r"method 'sift\+6dof': expected some of network"),
-        (["--jobs", "0"], "--jobs 0: expected at least 1"),
+        (["--jobs", "-1"], "--jobs -1: expected at least 0"),
         (["--limit", "-1"], "--limit -1: expected at least 0"),
         (["--turn-deg", "-1"], "--turn-deg -1: expected at least 0"),
         (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
@@ -22,6 +23,17 @@ from simgen.errors import UserError
 OFFSETS = ("sift-paper", "aliked", "superglue")
 """measured if nothing is asked for, where they can be; aliked as what needs no weights from
 elsewhere, beside the paper's SuperGlue"""
+
+
+MOST_SCORERS = 4
+"""unless more are asked for: each takes one to two GB where networks look at images"""
+PAIRS_A_SCORER = 16
+"""at least: a small set stays in one process"""
+
+
+def scorers(num_pairs: int) -> int:
+    """Processes that score if nobody says how many: a pair hardly keeps two cores busy."""
+    return max(1, min(os.cpu_count() or 1, MOST_SCORERS, num_pairs // PAIRS_A_SCORER))
 
 
 @dataclass(frozen=True)
@@ -114,7 +126,8 @@ def _by_pair(scoring: Scoring, looks: Sequence[Look], num_pairs: int) -> Iterato
             except (ProcessExpired, BrokenProcessPool) as error:
                 raise UserError(
                     f"a process that scored pair {i} died ({error}); too little memory? The same "
-                    "command goes on with what was measured; take fewer --jobs."
+                    "command goes on with what was measured; take fewer --jobs than "
+                    f"{scoring.jobs}."
                 ) from error
 
 

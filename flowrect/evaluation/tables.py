@@ -299,7 +299,8 @@ def document(
         f"# {title}\n",
         f"{pairs} pairs of {scenes} scenes. Means, with 95 % bootstrap intervals over scenes. A "
         "pair for which a method failed is scored with the prior, and counted under failures; a "
-        "pose whose rectified images have nothing in common is a failure that keeps its angles; "
+        "pose whose rectified images have nothing in common, or whose baseline lies across that of "
+        "the rig, is a failure that keeps its angles; "
         "under noted those that the method itself doubts, or where matches did not suffice to "
         "refine what a network said. "
         "Figures in pixels are of 512x256 images. Networks see the pair at the size they were "
