@@ -21,7 +21,7 @@ from flowrect.sample import Pair
 from flowrect.sources import open_source
 from simgen.errors import UserError
 from simgen.geometry import Array, intrinsics, inverse, project, rotation_from_vector, transform
-from simgen.shards import ShardSet
+from simgen.shards import Frame, ShardSet
 
 WH = (320, 180)
 K_A = np.array([[200.0, 0, 161.0], [0, 198.0, 88.0], [0, 0, 1]])
@@ -342,6 +342,23 @@ def test_shards_yield_each_pair_of_their_split(shards: Path) -> None:
     pair = open_source(shards, split="train")[1]
     assert (pair.name, pair.scene) == ("frame 1, cameras 1 and 2", "1")
     assert (pair.weather, pair.daylight) == ("partly_cloudy", "noon")
+
+
+def test_pairs_without_truth_read_neither_depth_nor_visibility(shards: Path, monkeypatch) -> None:
+    whole = open_source(shards, split="test")[1]
+    known, read = [], Frame.read
+
+    def noted(frame: Frame, name: str, which: int | None = None) -> np.ndarray:
+        known.append(name)
+        return read(frame, name, which)
+
+    monkeypatch.setattr(Frame, "read", noted)
+    pair = open_source(shards, split="test", truth_points=0)[1]
+    assert pair.truth is None
+    assert whole.truth is not None
+    assert not {"depth", "flow_status"} & set(known)
+    np.testing.assert_array_equal(pair.T_right_left, whole.T_right_left)
+    np.testing.assert_array_equal(pair.right, whole.right)
 
 
 @pytest.mark.parametrize("position", [0, 1, 2])

@@ -39,8 +39,8 @@ class Delivery:
     root: Path | None = None
     """folder that the paths of a list are relative to"""
 
-    def open(self, truth_points: int | None = 1) -> Delivered:
-        """The pairs; ``truth_points`` as open_source has it."""
+    def open(self, truth_points: int | None = 0) -> Delivered:
+        """The pairs; ``truth_points`` as open_source has it, which methods need none of."""
         rendered = (self.data / "manifest.json").is_file()
         split = self.split if rendered and self.split != "all" else None
         pairs = open_source(self.data, split=split, root=self.root, truth_points=truth_points,

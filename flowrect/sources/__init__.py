@@ -43,7 +43,8 @@ def open_source(
     Args:
       split: "train" or "test" of a rendered set; the other layouts are split by their lists.
       root: the folder that a list's paths are relative to; the list's own folder if None.
-      truth_points: about how many correspondences a rendered pair carries; None: all pixels.
+      truth_points: about how many correspondences a rendered pair carries; None: all pixels; 0:
+        none.
       trusted: the calibration of a plain folder is the truth.
     """
     path = Path(path)

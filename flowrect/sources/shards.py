@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from flowrect.correspondences import from_depth
+from flowrect.correspondences import Correspondences, from_depth
 from flowrect.sample import Pair
 from flowrect.sources.pairs import Pairs, digest
 from simgen.errors import UserError
 from simgen.geometry import Array, inverse, rotation_from_vector
-from simgen.shards import ShardSet
+from simgen.shards import Frame, ShardSet
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ def open_shards(
     Args:
       split: "train", "test" or None for both; decided when the set was rendered (test: scene
         index divisible by 10).
-      truth_points: about how many correspondences a pair carries; None: one per left pixel.
+      truth_points: about how many correspondences a pair carries; None: one per left pixel; 0:
+        none, and neither depth nor visibility is read.
     """
     frames = ShardSet(folder, split)
     if not frames:
@@ -92,7 +93,6 @@ def _read(frames: ShardSet, truth_points: int | None, item: Item) -> Pair:
         frame.read(name) for name in ("K", "T_world_cam", "T_world_cam_nominal", "perturbation_deg")
     )
     spec, T_right_left = frame.spec, inverse(T[right]) @ T[left]
-    status = "flow_status_reverse" if item.reverse else "flow_status"
     return Pair(
         left=frame.read("image", left),
         right=frame.read("image", right),
@@ -102,17 +102,23 @@ def _read(frames: ShardSet, truth_points: int | None, item: Item) -> Pair:
         T_right_left_nominal=inverse(T_nominal[right]) @ T_nominal[left],
         turn_left=_turn(drawn_deg[left]),
         turn_right=_turn(drawn_deg[right]),
-        truth=from_depth(
-            frame.read("depth", left),
-            frame.read(status, item.position),
-            K[left],
-            T_right_left,
-            num=truth_points,
-        ),
+        truth=None if truth_points == 0 else _truth(frame, item, truth_points),
         name=f"frame {item.frame}, cameras {left} and {right}",
         scene=str(frame.scene_index),
         weather=str(spec["weather"]["name"]),
         daylight=str(spec["daylight"]["name"]),
+    )
+
+
+def _truth(frame: Frame, item: Item, num: int | None) -> Correspondences:
+    left, right = item.cameras
+    T, status = frame.read("T_world_cam"), "flow_status_reverse" if item.reverse else "flow_status"
+    return from_depth(
+        frame.read("depth", left),
+        frame.read(status, item.position),
+        frame.read("K", left),
+        inverse(T[right]) @ T[left],
+        num=num,
     )
 
 
