@@ -28,8 +28,9 @@ from rich.progress import track
 
 from flowrect.evaluation.delivered import Delivery, prior, wh_of
 from flowrect.files import make_folder
+from flowrect.matchers import load_matcher
 from flowrect.memory import keep_freed_memory
-from flowrect.methods import TABLE, Method, load_method
+from flowrect.methods import TABLE, FromMatches, Method, load_method
 from flowrect.sample import Pair
 from flowrect.solvers import NoSolution
 from simgen.errors import UserError
@@ -73,6 +74,8 @@ def timed(name: str, options: Options) -> list[Timing]:
         torch.set_num_threads(options.threads)
         cv2.setNumThreads(options.threads)
     method = load_method(name)
+    if isinstance(method, FromMatches):
+        load_matcher(method.matcher)  # says now if its weights are missing
     pairs = Delivery(options.data, "test", wh_of(options.size), options.pairs + 1).open()
     return [once(method, pairs[i].input) for i in track(range(len(pairs)), name)][1:]
 
