@@ -48,7 +48,7 @@ class Options:
     rounds: int = 2
     """of both, in turn"""
     only: str = ""
-    """kept or given-back: the seconds of one process, as JSON"""
+    """kept or given-back: the figures of one process, as JSON"""
 
 
 def training_step(data: Path) -> Callable[[], object]:
@@ -77,7 +77,8 @@ def tasks(options: Options) -> dict[str, Callable[[], object]]:
     for name in ("network", "dis+5dof"):
         method = load_method(name)
         found[name] = lambda f=method: f(*images, pair.K_left, pair.K_right, start)
-    return {"training step": training_step(options.data), **found}
+    found = {"training step": training_step(options.data), **found}
+    return {f"{name} [s]": task for name, task in found.items()}
 
 
 def median_seconds(task: Callable[[], object], repeats: int) -> float:
@@ -92,7 +93,7 @@ def median_seconds(task: Callable[[], object], repeats: int) -> float:
 
 
 def in_a_process(which: str) -> dict[str, float]:
-    """Seconds of every task, with memory kept or given back."""
+    """Seconds of every task and the peak, with memory kept or given back."""
     command = [sys.executable, *sys.argv, "--only", which]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     return dict(json.loads(done.stdout.splitlines()[-1]))
@@ -117,7 +118,7 @@ def main(options: Options) -> None:
     for name in found["kept"][0]:
         before, after = (float(np.median([x[name] for x in found[kind]])) for kind in kinds)
         rows.append([name, f"{before:.3f}", f"{after:.3f}", f"{after / before:.2f}"])
-    print(markdown(("", "given back [s]", "kept [s]", "ratio"), rows))
+    print(markdown(("", "given back", "kept", "ratio"), rows))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Memory that a tensor leaves is kept for the next one, rather than handed back to the kernel.
 
 By default the C library maps every tensor of more than 128 kB (later: 32 MB) anew, and the kernel
-clears its pages before it hands them out: on a CPU that was a sixth of a training step and of RAFT,
-and a quarter of ALIKED (``benchmarks/kept_memory.py``). The price is memory: a command keeps all
-that it has ever had, and what lies between tensors of unlike sizes.
+clears its pages before it hands them out: on a CPU that was a tenth to a sixth of a training step,
+and about a fifth of ALIKED and RAFT (``benchmarks/kept_memory.py``). The price is memory: a command
+keeps all that it has ever had, and what lies between tensors of unlike sizes.
 """
 
 from __future__ import annotations
