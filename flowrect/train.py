@@ -214,7 +214,8 @@ class RivalTask:
 
     def __init__(self, options: RivalOptions) -> None:
         self.options = options
-        self.model, self._before = initial_model(options)
+        model, self._before = initial_model(options)
+        self.model = model.to(memory_format=torch.channels_last)  # up to a third faster
         self.input_wh = options.model.input_wh
 
     def require(self, batch: Batch) -> None:
