@@ -343,7 +343,7 @@ def _rival(preset: PresetName, **changes: Any) -> RivalOptions:
 RIVAL_TRAINING: dict[str, RivalOptions] = {
     "rpnet": _rival("rpnet", lr=1e-4),
     "directionnet": _rival("directionnet", lr=1e-3),
-    "vitpose": _rival("vitpose", lr=5e-4, clip=2.5),
+    "vitpose": _rival("vitpose", lr=2e-4, clip=2.5),
 }
 """for a CPU: smaller batches than the papers', which have 60 or so"""
 

@@ -33,7 +33,14 @@ from rich.table import Table
 from flowrect.correspondences import collate
 from flowrect.depth import STEREO, StereoMatcher, load_stereo
 from flowrect.depth.frame import DepthFrame, depth_frame
-from flowrect.depth_error import EDGES_M, DepthSamples, MatchedPair, RangeError, matched
+from flowrect.depth_error import (
+    EDGES_M,
+    DepthSamples,
+    MatchedPair,
+    RangeError,
+    comparable,
+    matched,
+)
 from flowrect.drectify import Rectification, rectify
 from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior, wh_of
@@ -155,11 +162,12 @@ def evaluate(options: EvaluateDepthOptions, stereo: str) -> dict[str, Tally]:
     shown = {chosen[k] for k in evenly(NUM_SHOWN, len(chosen))}
     for i in track(chosen, escape(f"pairs, {stereo}")):
         pair = pairs[i].metric
+        truth = comparable(pair)
         predicted = {method: of[i] for method, of in rows.items() if i in of}
         found = _matched_by_all(tallies, pair, predicted, options.translation, matcher)
         _require_sign(found[TRUTH], pair, stereo)
         for name, rectified in found.items():
-            tallies[name].samples[i] = rectified.samples(pair)
+            tallies[name].samples[i] = rectified.samples(truth)
             if i in shown:
                 tallies[name].pictures[i] = Picture.of(rectified, pair.name, name)
     return tallies

@@ -19,11 +19,11 @@ from flowrect.depth import load_stereo, sgbm
 from flowrect.depth.frame import DepthFrame, depth_frame
 from flowrect.depth_error import (
     DepthSamples,
+    comparable,
     depth_samples,
     disparity_at,
     left_depth,
     matched,
-    shown_truth,
 )
 from flowrect.drectify import Rectification, rectify
 from simgen.errors import UserError
@@ -113,7 +113,8 @@ def test_a_pitch_error_makes_matching_fail():
     for pitch_deg in (0.0, 2.0):
         rect, frame = rectified_by(turned(x=pitch_deg) @ R, t)
         match = load_stereo("sgbm", largest_px=frame.largest_disparity(5.0))
-        [rows[pitch_deg]] = matched(pair, rect, frame, match).samples(pair).by_range((0, 300))
+        found = matched(pair, rect, frame, match)
+        [rows[pitch_deg]] = found.samples(comparable(pair)).by_range((0, 300))
     good, bad = rows[0.0], rows[2.0]
     assert good.coverage > 0.9
     assert good.median_m < 0.15  # at 12 m, where a sixteenth of a pixel is 0.06 m
@@ -171,28 +172,33 @@ def test_a_range_without_pixels_has_no_figures():
 
 
 def test_only_what_both_cameras_see_at_a_finite_depth_is_compared():
-    t = along_x()
-    truth = plane_truth(np.array([0, 0, 0.1]), turned(), t)
+    pair = plane_pair(turned(), along_x(), np.array([0, 0, 0.1]))
+    truth = pair.truth
+    assert truth is not None
+    whole = len(comparable(pair).depth)
     seen = np.random.default_rng(0).random(len(truth.depth)) < 0.5
     depth = np.where(np.arange(len(seen)) % 7 == 0, 0.0, truth.depth)
-    truth = replace(truth, visible=seen, depth=depth)
-    _, frame = rectified_by(turned(), t)
-    samples = depth_samples(np.ones(WH[::-1]), frame, truth)
-    assert len(samples.true_m) == (seen & (depth > 0)).sum()
+    truth = replace(truth, visible=truth.visible & seen, depth=depth)
+    some = comparable(replace(pair, truth=truth))
+    assert 0 < len(some.depth) < whole
+    assert (some.depth > 0).all()
+    assert some.visible.all()
 
 
 def test_pixels_that_a_crop_cut_off_are_not_asked_for():
     R, t = turned(), along_x()
     pair = plane_pair(R, t, np.array([0, 0, 0.1]))
-    truth = shown_truth(pair)
-    u_right = 96 * truth.rays_right[:, 0] + 95.5
-    np.testing.assert_array_equal(truth.visible, u_right >= -0.5)
+    assert pair.truth is not None
+    u_right = 96 * pair.truth.rays_right[:, 0] + 95.5
+    expected = pair.truth.rays_left[u_right >= -0.5]
+    assert 0 < len(expected) < len(u_right)
+    np.testing.assert_array_equal(comparable(pair).rays_left, expected)
 
 
 def test_a_pair_without_depth_is_refused():
     pair = replace(plane_pair(turned(), along_x(), np.array([0, 0, 0.1])), truth=None)
     with pytest.raises(UserError, match="plane: has no depth to compare with"):
-        shown_truth(pair)
+        comparable(pair)
 
 
 @pytest.mark.parametrize("t", [(1.5, 0.0, 0.0), (0.1, -1.5, 0.0)])

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tiny_network import road_set
 
 from flowrect.depth import STEREO, StereoMatcher, hitnet_weights, load_stereo
-from flowrect.depth_error import DepthSamples, matched
+from flowrect.depth_error import DepthSamples, comparable, matched
 from flowrect.evaluate_depth import Tally, by_range, main, rectified_by
 from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery
@@ -38,7 +38,7 @@ def test_the_truth_beats_a_wrong_pose_and_the_length_of_t_does_not_matter():
         rect, frame = rectified_by(rotation, scale * t[0].numpy(), window)
         sgbm = load_stereo("sgbm", largest_px=frame.largest_disparity(6))
         found = matched(window, rect, frame, sgbm)
-        [row] = found.samples(window).by_range((0, 300))
+        [row] = found.samples(comparable(window)).by_range((0, 300))
         rows.append(row)
     assert rows[0].coverage > 0.8
     assert rows[1] == pytest.approx(rows[0])

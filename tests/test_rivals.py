@@ -40,6 +40,7 @@ from flowrect.rivals.vitpose import (
     BORDER,
     STRIDE,
     EssentialModule,
+    WideLinear,
     monomials,
     mutual_attention,
     quadratic_form,
@@ -341,6 +342,17 @@ def test_exchanged_views_exchange_the_halves(name):
     f, phi = torch.randn(4, 16, 24).double(), torch.randn(4, 16, 6).double()
     exchange = [2, 3, 0, 1]
     torch.testing.assert_close(module(f[exchange], phi[exchange]), module(f, phi)[exchange])
+
+
+def test_a_step_of_adam_leaves_the_many_inputs_of_the_mlp_nearly_what_they_were(worst):
+    """As published it moves hidden units by more than they vary, and all of them may die."""
+    torch.manual_seed(0)
+    layer, x = WideLinear(26_880, 16), torch.randn(8, 26_880)
+    before = layer(x)
+    assert before.std().item() == pytest.approx(3**-0.5, rel=0.1)  # as nn.Linear starts
+    before.sum().backward()
+    torch.optim.Adam(layer.parameters(), 2e-4).step()
+    worst("change of a hidden unit by a step", (layer(x) - before).detach(), 0.1, "-")
 
 
 # --- losses and gradients ----------------------------------------------------------------------
