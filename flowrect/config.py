@@ -133,7 +133,8 @@ class LoopOptions:
     out: Path = Path("runs/flowrect")
     """folder of the run: checkpoint, best and last weights, metrics.jsonl, TensorBoard"""
     init: str = ""
-    """weights to start from: a name or a file; random if not given"""
+    """weights to start from: a name or a file; random if not given. Those of our own network may
+    have been trained at another ``input_wh``"""
     loading: Loading = field(default_factory=lambda: Loading(batch=16))
     """batch: pairs per backward pass, over all processes"""
     augmentation: Augmentation = field(default_factory=Augmentation)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -86,17 +86,21 @@ def load_weights(
 
     Args:
       path: a file of ``save_weights``.
-      expected: the config that the network must have; any if not given.
+      expected: the config that the network must have; any if not given. A Rectifier takes images of
+        any size, so that ``input_wh`` may be another one than it was trained with.
 
     Raises:
       UserError: not such a file, or not weights of that network.
     """
     config, card = _read_header(path)
-    if expected is not None and config != expected:
-        raise UserError(
-            f"{path} holds weights of another network: {_differences(config, expected)}. Choose "
-            "the preset and the fields that it was trained with, or other weights."
-        )
+    if expected is not None:
+        if isinstance(config, ModelConfig) and isinstance(expected, ModelConfig):
+            config = replace(config, input_wh=expected.input_wh)
+        if config != expected:
+            raise UserError(
+                f"{path} holds weights of another network: {_differences(config, expected)}. "
+                "Choose the preset and the fields that it was trained with, or other weights."
+            )
     model = untrained(config)
     tensors = load_file(path)
     _check_tensors(path, tensors, model.state_dict())

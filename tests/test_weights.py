@@ -59,6 +59,13 @@ def test_weights_of_another_preset_are_refused_with_what_differs(path):
         load_weights(path, expected=replace(TINY, channels=32))
 
 
+def test_training_may_go_on_at_another_size_of_the_images(path):
+    own, _ = load_weights(path)
+    larger, _ = load_weights(path, expected=replace(TINY, input_wh=(384, 192)))
+    assert larger.config.input_wh == (384, 192) != own.config.input_wh
+    assert all(torch.equal(x, own.state_dict()[k]) for k, x in larger.state_dict().items())
+
+
 def test_foreign_safetensors_are_refused(tmp_path):
     save_file({"x": torch.zeros(1)}, tmp_path / "x.safetensors")
     with pytest.raises(UserError, match=r"format 'flowrect-weights-1' in its header, found None"):
