@@ -10,6 +10,7 @@ _HOME = {
     "Calibration": "flowrect.calibration",
     "Correspondences": "flowrect.correspondences",
     "Estimate": "flowrect.estimate",
+    "NoSolution": "flowrect.solvers",
     "PoseEstimate": "flowrect.methods",
     "Rectification": "flowrect.drectify",
     "load_method": "flowrect.methods",

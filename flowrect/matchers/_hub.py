@@ -27,7 +27,9 @@ def load_published(model_class: Any, published: Published) -> nn.Module:
             dtype=torch.float32,
         )  # fmt: skip
     except (OSError, ValueError, RuntimeError, SafetensorError) as error:
-        raise published.absent(f"{place}: {str(error).splitlines()[0]}") from error
+        cached = published.folder() is None and isinstance(error, OSError)
+        why = "nothing of it in the hub's cache" if cached else str(error).splitlines()[0]
+        raise published.absent(f"{place}: {why}") from error
     if info["missing_keys"]:
         raise published.absent(f"{place} lacks {min(info['missing_keys'])}")
     loaded: nn.Module = net.eval().requires_grad_(False)
