@@ -30,9 +30,11 @@ if TYPE_CHECKING:
     PoseNetwork = Rectifier | Rival
 
 FORMAT = "flowrect-weights-1"
+_MEANING = {"vitpose": 2}
+"""of rivals whose weights mean something else than at first: vitpose's first layer is divided"""
 _CONFIGS: dict[str, type[ModelConfig | RivalConfig]] = {
     FORMAT: ModelConfig,
-    **{f"flowrect-{name}-1": type(config) for name, config in RIVALS.items()},
+    **{f"flowrect-{n}-{_MEANING.get(n, 1)}": type(config) for n, config in RIVALS.items()},
 }
 """what a file of each format describes"""
 _LATER = {"passes"}
