@@ -56,6 +56,17 @@ class RangeError(NamedTuple):
         return self.answered / self.pixels if self.pixels else float("nan")
 
 
+class RangeComparison(NamedTuple):
+    """Errors of one range of true depth, of one way to rectify the pairs."""
+
+    own: RangeError
+    """of all its answers"""
+    common: RangeError
+    """of pixels that the true pose gives an answer for as well"""
+    by_truth: RangeError
+    """what the true pose leaves of the same pixels"""
+
+
 @dataclass(frozen=True, eq=False)
 class DepthSamples:
     """True and estimated z in the left camera frame [m] of pixels that both cameras see."""
@@ -93,6 +104,24 @@ class DepthSamples:
             size = np.abs(error)
             figures = (float(size.mean()), float(np.median(size)), float(error.mean()))
         return RangeError(from_m, to_m, int(within.sum()), error.size, *figures)
+
+
+def compared(
+    own: Sequence[DepthSamples], by_truth: Sequence[DepthSamples]
+) -> list[RangeComparison]:
+    """By range, from the samples of the same pairs.
+
+    Where a pose is wrong a stereo matcher answers fewer pixels, and the easier ones: its errors
+    can be held against those of the true pose on the same pixels alone.
+    """
+    answers = [(~np.isnan(a.estimated_m), ~np.isnan(b.estimated_m))
+               for a, b in zip(own, by_truth, strict=True)]  # fmt: skip
+    common = [
+        DepthSamples.joined([s.subset(a & b) for s, (a, b) in zip(samples, answers, strict=True)])
+        for samples in (own, by_truth)
+    ]
+    columns = (x.by_range() for x in (DepthSamples.joined(own), *common))
+    return [RangeComparison(*row) for row in zip(*columns, strict=True)]
 
 
 def depth_samples(

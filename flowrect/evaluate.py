@@ -154,8 +154,10 @@ def _require_sensible(options: EvaluateOptions) -> None:
         ("--time-limit-s", options.time_limit_s, 1),
         ("--turn-deg", options.turn_deg, 0),
     ):
-        if value < least:
+        if not value >= least:
             raise UserError(f"{name} {value:g}: expected at least {least}.")
+    if not options.translations:
+        raise UserError("--translations: expected gt, nominal or both.")
     _require_known(options.methods)
 
 

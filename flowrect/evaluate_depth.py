@@ -4,11 +4,12 @@ The paper's section 5.2: every pair is rectified by each method's pose, matched,
 its left pixels compared with the truth. The poses are those that ``flowrect.evaluate`` has written
 to RESULTS; a pair for which a method failed is rectified by the prior, and counted, and so is one
 whose pose lays the baseline upright, reverses it, or leaves the images nothing in common; one that
-was not predicted is in none of the method's figures. All rectifications of a pair share the K_new
-of its nominal rig, and the length of its nominal baseline, which images do not tell. Rectified
-images are 512×256, as in every report. What a matcher said of two images is kept in
-RESULTS/disparity, so that the same command goes on after an interruption. Each stereo matcher and t
-have a table, depth.STEREO.T.csv and .md, and their part of RESULTS/report.html.
+was not predicted is in none of the method's figures. The row *prior* is rectified by the prior
+alone, whose t is the true one with t = gt. All rectifications of a pair share the K_new of its
+nominal rig, and the length of its nominal baseline, which images do not tell. Rectified images are
+512×256, as in every report. What a matcher said of two images is kept in RESULTS/disparity, so that
+the same command goes on after an interruption. Each stereo matcher and t have a table,
+depth.STEREO.T.csv and .md, and their part of RESULTS/report.html.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from typing import Literal
 import numpy as np
 import torch
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import track
@@ -37,14 +37,15 @@ from flowrect.depth_error import (
     EDGES_M,
     DepthSamples,
     MatchedPair,
-    RangeError,
     comparable,
+    compared,
     matched,
 )
 from flowrect.drectify import Rectification, rectify
 from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior, wh_of
 from flowrect.evaluation.depth_report import (
+    CELLS,
     Counts,
     Picture,
     Ranges,
@@ -65,6 +66,8 @@ TRUTH_POINTS = 100_000
 """left pixels of a pair, evenly chosen, whose depth is compared"""
 SIGN_PX = 1.0
 """far points of a dark pair may well have a disparity of a little less than 0"""
+PRIOR = "prior"
+"""the row of pairs that are rectified by the prior alone; unrectified ones have no depth"""
 NUM_SHOWN = 3
 """pairs whose depth is shown as every method rectifies them"""
 
@@ -124,9 +127,9 @@ def available(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         try:
             load_stereo(kind, largest_px=0, weights=weights)
         except UserError as error:
-            if kind not in STEREO:
+            if kind not in STEREO or weights:
                 raise
-            lacking[name] = f"no weights: {error}"
+            lacking[name] = str(error)
     if len(lacking) == len(names):
         raise UserError(" ".join(lacking.values()))
     return [name for name in names if name not in lacking], lacking
@@ -156,7 +159,7 @@ def evaluate(options: EvaluateDepthOptions, stereo: str) -> dict[str, Tally]:
             "python -m flowrect.evaluate with the same --data, --size, --split and --limit first."
         )
     pairs = delivery.open(truth_points=TRUTH_POINTS)
-    tallies = {name: Tally() for name in (UNRECTIFIED, *rows, TRUTH)}
+    tallies = {name: Tally() for name in (PRIOR, *rows, TRUTH)}
     matcher = _stereo(options, stereo)
     chosen = evenly(options.pairs, len(pairs))
     shown = {chosen[k] for k in evenly(NUM_SHOWN, len(chosen))}
@@ -192,7 +195,7 @@ def _matched_by_all(
         return matched(pair, rect, frame, stereo(frame))
 
     left_over = match(*rectified_by(T_prior[:3, :3], T_prior[:3, 3], pair))
-    found = {UNRECTIFIED: left_over}
+    found = {PRIOR: left_over}
     for name, row in predicted.items():
         own = _by_prediction(row, T_prior, pair, translation)
         tallies[name].failed += own is None
@@ -260,25 +263,17 @@ def _stereo(options: EvaluateDepthOptions, name: str) -> Stereo:
 
 
 def by_range(tallies: dict[str, Tally]) -> Ranges:
-    """Errors of each method and range: of all its answers, and of pixels that can be answered.
-
-    Those are pixels that are answered where the true pose rectifies the pair, so that no method's
-    figures depend on which others there are.
-    """
-    answered = {i: ~np.isnan(s.estimated_m) for i, s in tallies[TRUTH].samples.items()}
-    return {name: _by_range(tally.samples, answered) for name, tally in tallies.items()}
-
-
-def _by_range(
-    samples: Mapping[int, DepthSamples], answered: Mapping[int, NDArray[np.bool_]]
-) -> list[tuple[RangeError, RangeError]]:
-    own = DepthSamples.joined(list(samples.values()))
-    answerable = DepthSamples.joined([s.subset(answered[i]) for i, s in samples.items()])
-    return list(zip(own.by_range(), answerable.by_range(), strict=True))
+    """Errors of each method and range; no method's depend on which others there are."""
+    truth = tallies[TRUTH].samples
+    return {
+        name: compared(list(tally.samples.values()), [truth[i] for i in tally.samples])
+        for name, tally in tallies.items()
+    }
 
 
 COLUMNS = ("method", "pairs", "failed_pairs", "from_m", "to_m", "pixels", "coverage", "mae_m",
-           "median_m", "bias_m", "mae_answerable_m", "median_answerable_m")  # fmt: skip
+           "median_m", "bias_m", "common_pixels", "common_mae_m", "common_median_m",
+           "truth_mae_m", "truth_median_m")  # fmt: skip
 
 
 def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
@@ -287,17 +282,18 @@ def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         for name, rows in ranges.items():
-            for own, answerable in rows:
+            for own, common, truth in rows:
                 writer.writerow([name, *counts[name], own.from_m, own.to_m, own.pixels,
                                  own.coverage, own.mae_m, own.median_m, own.bias_m,
-                                 answerable.mae_m, answerable.median_m])  # fmt: skip
+                                 common.pixels, common.mae_m, common.median_m,
+                                 truth.mae_m, truth.median_m])  # fmt: skip
 
 
 HEAD = ("", *(f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)), "mean MAE")
 
 
 def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
-    """MAE and median [m] of answerable pixels, and each method's coverage of all, by range."""
+    """Cells of ``depth_rows``."""
     result = Table(*HEAD, title=escape(title))
     for row in depth_rows(ranges, counts):
         result.add_row(*map(escape, row))
@@ -313,7 +309,7 @@ def write_markdown(
 ) -> None:
     """The same as ``table``, and why other stereo matchers could not run."""
     rows = ([cell.replace("\n", ", ") for cell in row] for row in depth_rows(ranges, counts))
-    absent = "".join(f"\n{name}: {why}\n" for name, why in lacking.items())
+    absent = "".join(f"\nLeft out: {why}\n" for why in lacking.values())
     path.write_text(f"## Depth by {title}\n\n{markdown(HEAD, rows)}{absent}", encoding="utf-8")
 
 
@@ -327,10 +323,10 @@ def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str
     pictures = [t.pictures[i] for i in tallies[TRUTH].pictures for t in tallies.values()
                 if i in t.pictures]  # fmt: skip
     sections = depth_report(stereo, title, ranges, counts, pictures, lacking)
-    own = {UNRECTIFIED, TRUTH}
+    own = {PRIOR, TRUTH}
     sources = one_page.Sources.of(_delivery(options).open().fingerprint, tallies.keys() - own)
     path = one_page.put(options.results, name, sections, sources)
-    title += ": MAE / median in m of pixels that are answered with the true pose, too; all answers"
+    title += f": {CELLS}"
     write_markdown(options.results / f"{name}.md", ranges, counts, title, lacking)
     Console(width=200).print(table(ranges, counts, title))
     print(f"{path}: the same as curves, with pictures")
@@ -349,8 +345,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"interrupted: the same command goes on from {options.results}.")
         return 130
-    for name, why in lacking.items():
-        print(f"{name}: {why}")
+    for why in lacking.values():
+        print(f"left out: {why}")
     for why in stopped:
         print(f"error: {why}", file=sys.stderr)
     return 2 if stopped else 0

@@ -28,12 +28,21 @@ def make_folder(path: Path) -> None:
 
 
 def read_rgb(path: Path) -> Image:
-    """An 8-bit image (H, W, 3) in RGB; a grey one becomes three equal channels."""
+    """An 8-bit image (H, W, 3) in RGB; a grey one becomes three equal channels.
+
+    Pixels lie as they are stored, which K belongs to, whatever orientation a viewer is told.
+    """
     if not path.is_file():
         raise UserError(f"{path}: no such image.")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    as_stored = cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR | as_stored)
     if image is None:
         raise UserError(f"{path}: cannot be decoded as an image; damaged, or of an unknown kind?")
+    if image.dtype != np.uint8:
+        raise UserError(
+            f"{path}: samples of {image.dtype}, expected 8 bits. Scale its range to 0…255 first, "
+            "as the left and the right image alike."
+        )
     rgb: Image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return rgb
 

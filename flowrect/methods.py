@@ -16,10 +16,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from flowrect.calibration import projections
 from flowrect.estimate import Calibrator, load_model
 from flowrect.matchers import LEARNED, MATCHERS, PARTS, WHOLE_PIXELS, load_matcher
 from flowrect.matches import Matches
@@ -149,24 +151,40 @@ class FromMatches:
     ) -> PoseEstimate:  # fmt: skip
         """From matches that are there already; ``seconds`` is what they took."""
         try:
-            start = self.start(left, right, K_left, K_right, prior)
+            start, stands = self._start(left, right, K_left, K_right, prior)
             seconds.update(start.seconds)
-            return self._solved(matches, K_left, K_right, start, prior[:3, 3], seconds)
+            return self._solved(matches, K_left, K_right, start, prior[:3, 3], seconds, stands)
         except NoSolution as error:
             spent = {**seconds, **error.seconds}
             raise NoSolution(str(error), num_matches=len(matches), seconds=spent) from error
 
+    def _start(
+        self, left: Image, right: Image, K_left: Array, K_right: Array, prior: Array
+    ) -> tuple[PoseEstimate, bool]:
+        """Where the solver starts, and whether that stands where matches do not suffice."""
+        given = left, right, K_left, K_right, prior
+        if self.start is unrectified:
+            return unrectified(*given), False
+        try:
+            return self.start(*given), True
+        except NoSolution as error:
+            h, w = left.shape[:2]
+            if not projections(prior, K_left, K_right, (w, h)).vertical:
+                raise
+            note = f"the network, which knows horizontal rigs only, is left out: {error}"
+            return replace(unrectified(*given), seconds=error.seconds, notes=(note,)), False
+
     def _solved(
         self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, t_prior: Array,
-        seconds: Seconds,
+        seconds: Seconds, stands: bool,
     ) -> PoseEstimate:  # fmt: skip
-        """Where matches do not suffice, what another method said stands, and is noted."""
+        """Where matches do not suffice, the start may stand, and that is noted."""
         prior = transform(start.R, t_prior)  # a t that a network predicts is no calibration
         try:
             with seconds.of("solving"):
                 solution = self.solver(*matches.as_seen(K_left, K_right), prior)
         except NoSolution as error:
-            if self.start is unrectified:
+            if not stands:
                 raise
             note = f"not refined by matches: {error}"
             return replace(start, num_matches=len(matches), notes=(*start.notes, note),
@@ -180,11 +198,20 @@ _load_model = cache(load_model)
 
 
 def network_of(name: str) -> tuple[str, str]:
-    """Weights and solver ("": none) of ``network[=WEIGHTS][+SOLVER]``; a path may have a +."""
+    """Weights and solver ("": none) of ``network[=WEIGHTS][+SOLVER]``; a path may have a +.
+
+    UserError if what follows the last + is no solver, and not the end of a file's name either.
+    """
     head, _, tail = name.rpartition("+")
     solver = tail if head and tail in SOLVERS else ""
     network = head if solver else name
-    return network.partition("=")[2] or "small", solver
+    weights = network.partition("=")[2] or "small"
+    if head and not solver and not Path(weights).is_file():
+        raise UserError(
+            f"method {name!r}: {tail!r} is no solver, and {weights!r} no file; solvers are "
+            f"{', '.join(SOLVERS)}."
+        )
+    return weights, solver
 
 
 def _with_network(name: str) -> Method:

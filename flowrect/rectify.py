@@ -307,8 +307,7 @@ def run(options: RectifyOptions, console: Console) -> int:
     todo = pairs_to_do(pairs, options)
     if len(todo) < len(pairs):
         console.print(f"kept: {len(pairs) - len(todo)} of {len(pairs)} pairs have a result already")
-    h, w = read_rgb(pairs[0].left).shape[:2]
-    rig = read_calibration(options.calib, (w, h))
+    rig = read_calibration(options.calib, size_of_first(pairs))
     method = load_method(_with_weights(options))
     make_folder(options.out)
     failed = 0
@@ -329,6 +328,18 @@ def run(options: RectifyOptions, console: Console) -> int:
     summary = f"rectified: {len(todo) - failed} of {len(todo)} pairs, in {options.out}"
     console.print(summary, soft_wrap=True, markup=False)
     return failed
+
+
+def size_of_first(pairs: Sequence[PairFiles]) -> tuple[int, int]:
+    """Width and height of the first left image that can be read; UserError if none can."""
+    for pair in pairs:
+        try:
+            h, w = read_rgb(pair.left).shape[:2]
+        except UserError:  # it fails when its turn comes, and is counted
+            continue
+        return w, h
+    read_rgb(pairs[0].left)  # raises, and says why
+    raise AssertionError
 
 
 def _with_weights(options: RectifyOptions) -> str:

@@ -123,7 +123,7 @@ def find_weights(name_or_path: str | Path) -> Path:
     shipped = SHIPPED / f"{name_or_path}.safetensors"
     if shipped.is_file():
         return shipped
-    names = sorted(p.stem for p in SHIPPED.glob("*.safetensors"))
+    names = sorted(p.stem for p in SHIPPED.glob("*.safetensors") if _format_of(p) in _CONFIGS)
     raise UserError(
         f"weights {str(name_or_path)!r}: expected a file or one of the shipped "
         f"{names or 'names (there are none here)'}; check the spelling, or train some with "
@@ -144,6 +144,11 @@ def config_from_json(
         raise ValueError(f"fields {sorted(odd)} are on one side only")
     config: ModelConfig | RivalConfig = TypeAdapter(kind).validate_json(text)
     return config
+
+
+def _format_of(path: Path) -> str | None:
+    with safe_open(path, framework="pt") as file:
+        return (file.metadata() or {}).get("format")
 
 
 def _read_header(path: Path) -> tuple[ModelConfig | RivalConfig, Card]:

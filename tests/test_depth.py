@@ -288,9 +288,14 @@ def test_an_onnx_file_answers_what_its_operators_say(tmp_path, monkeypatch, wors
             {"weight": random_weight(), "hw": (32, 96)},
             "takes images of 96x32 only, these are 50x40",
         ),
+        (
+            {"weight": random_weight(), "hw": ("h", 96)},
+            "takes images of 96xh only, these are 50x40",
+        ),
+        ({"weight": random_weight(1, 9)}, "tiny.onnx cannot be run on images of 64x64 .*Conv"),
         ({"weight": random_weight(1, 9), "inputs": 3}, "expected two of float32"),
     ],
-    ids=["channels", "size", "inputs"],
+    ids=["channels", "size", "width", "raises", "inputs"],
 )
 def test_an_onnx_file_that_breaks_the_contract_is_refused(changes, message, tmp_path):
     path = onnx_file(tmp_path / "tiny.onnx", **changes)
@@ -303,7 +308,7 @@ def test_what_is_no_onnx_file_is_refused(tmp_path, monkeypatch):
     torch.save({}, tmp_path / "dlnr.pth")
     for weights, message in (
         (str(tmp_path / "dlnr.pth"), "is no ONNX file that onnxruntime runs"),
-        (str(tmp_path / "absent.onnx"), "no such file. Nothing is fetched"),
+        (str(tmp_path / "absent.onnx"), "no weights, .*: no such file. Nothing is fetched"),
         ("", "no file is named. Nothing is fetched"),
     ):
         with pytest.raises(UserError, match=message):

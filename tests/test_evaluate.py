@@ -36,7 +36,7 @@ from flowrect.evaluation.delivered import Delivered, Delivery, prior
 from flowrect.evaluation.offsets import FLOW, FLOW_VALID, Memory, Offsets, VerticalFlow
 from flowrect.evaluation.predict import FAULT, TOO_LONG, Run, _matches, predict
 from flowrect.evaluation.predictions import Origin
-from flowrect.evaluation.scores import Score, scored
+from flowrect.evaluation.scores import Score, _Truth, _useless, scored
 from flowrect.evaluation.tables import document, main_table
 from flowrect.formats import opencv
 from flowrect.matchers import MATCHERS
@@ -502,6 +502,10 @@ def test_matches_of_other_settings_or_damaged_ones_are_found_anew(wall, tmp_path
     assert _matches(path, "sift", pair).seconds == first.seconds  # read, not made
     path.write_bytes(path.read_bytes()[:100])
     again = _matches(path, "sift", pair)
+    whole = bytearray(path.read_bytes())
+    for start in range(60, len(whole) - 2000, len(whole) // 40):  # in whatever way it is damaged
+        path.write_bytes(whole[:start] + b"\xff" * 16 + whole[start + 16 :])
+        assert len(_matches(path, "sift", pair).matches) == len(first.matches)
     np.testing.assert_array_equal(first.matches.uv_left, again.matches.uv_left)
     with np.load(path) as file:
         np.savez(path, **(dict(file) | {"seen_px": np.array(2.5)}))
@@ -544,6 +548,16 @@ def test_a_wild_pose_is_a_failure_and_betters_no_mean(data, turn_deg, why):
     assert max(figures["yaw_deg"], figures["roll_deg"]) > 140
     for name in ("vertical_flow_px", "mae_paper", "disparity_bias_px"):
         assert 0 < abs(figures[name]) == abs(left_over[name])
+
+
+def test_of_a_diagonal_rig_the_true_pose_tells_what_is_upright(data):
+    """Cameras that turn may tip the baseline over to the other axis than the drawing's."""
+    prepared = delivery(data).open(None)[0]
+    truth = _Truth.of(prepared)
+    tipped = replace(truth.nominal, vertical=~truth.nominal.vertical)
+    T = prepared.input.T_right_left
+    pose = PoseEstimate(T[:3, :3], T[:3, 3])
+    assert _useless(replace(truth, nominal=tipped), pose, "nominal") == ""
 
 
 def test_a_wild_pose_of_a_real_pair_is_a_failure_too(wall):
@@ -908,6 +922,9 @@ def test_a_limit_is_spread_over_the_set(data):
         (["--jobs", "-1"], "--jobs -1: expected at least 0"),
         (["--limit", "-1"], "--limit -1: expected at least 0"),
         (["--turn-deg", "-1"], "--turn-deg -1: expected at least 0"),
+        (["--time-limit-s", "nan"], "--time-limit-s nan: expected at least 1"),
+        (["--translations"], "--translations: expected gt, nominal or both"),
+        (["--methods", "network=small+6dof"], "'6dof' is no solver, and 'small.6dof' no file"),
         (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),
         (["--offsets", "shift"], "--offsets shift: expected some of sift, "),
         (

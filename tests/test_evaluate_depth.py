@@ -15,12 +15,12 @@ from tiny_network import road_set
 
 from flowrect.depth import STEREO, StereoMatcher, hitnet_weights, load_stereo
 from flowrect.depth_error import DepthSamples, comparable, matched
-from flowrect.evaluate_depth import Tally, by_range, main, rectified_by
+from flowrect.evaluate_depth import PRIOR, Tally, by_range, main, rectified_by
 from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.depth_report import depth_rows
 from flowrect.evaluation.predictions import Origin, Prediction, file_name, write
-from flowrect.evaluation.scores import TRUTH, UNRECTIFIED
+from flowrect.evaluation.scores import TRUTH
 from flowrect.evaluation.stamp import of_method
 from flowrect.methods import PoseEstimate
 from flowrect.metrics import METRIC_WH
@@ -79,8 +79,8 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     monkeypatch.delenv("FLOWRECT_STEREO_ONNX", raising=False)
     assert main([*given, "--stereo", "sgbm", "onnx"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"onnx: no weights: .*DLNR.*: no file is named.*High-frequency-Stereo.*licence"
-                     r".*RAFT-Stereo \(MIT\).*sgbm needs no weights", printed)  # fmt: skip
+    absent = r"onnx stereo matcher \(DLNR and others\): no weights, no file is named.*High-freq"
+    assert re.search(absent + r"uency-Stereo.*licence.*RAFT-Stereo \(MIT\).*sgbm needs no", printed)
     assert "failing (3 failed)" in printed
     assert "wild (3 failed)" in printed  # its baseline is vertical
     assert "away (3 failed)" in printed  # its images have nothing in common
@@ -88,16 +88,16 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     of = ranges_of(tmp_path / "results" / "depth.sgbm.nominal.csv")
     begun = of.pop("begun")
     assert {(r["pairs"], r["failed_pairs"]) for r in begun} == {("1", "0")}
-    for figure in ("pixels", "coverage", "mae_m", "mae_answerable_m"):
+    for figure in ("pixels", "coverage", "mae_m", "common_mae_m"):
         column = {name: [r[figure] for r in found] for name, found in of.items()}
-        assert column["failing"] == column["wild"] == column["away"] == column[UNRECTIFIED]
+        assert column["failing"] == column["wild"] == column["away"] == column[PRIOR]
         assert column["right"] == column[TRUTH]
     assert sum(int(r["pixels"]) for r in of[TRUTH]) > 1000
     written = (tmp_path / "results" / "depth.sgbm.nominal.md").read_text(encoding="utf-8")
     rows = [line for line in written.splitlines() if line.startswith("| failing (3 failed) | ")]
     assert len(rows) == 1
-    assert "\nonnx: no weights: " in written
-    mae = float(of["failing"][0]["mae_answerable_m"])
+    assert "\nLeft out: onnx stereo matcher (DLNR and others): no weights, " in written
+    mae = float(of["failing"][0]["common_mae_m"])
     assert rows[0].split(" | ")[1].startswith(f"{mae:.2f} / ")
     page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")
     shown = 3 * len(of) + 1  # three pairs, one of them also by the method that has begun
@@ -142,7 +142,10 @@ def test_disparities_are_stamped_with_the_package_that_runs_the_network(tmp_path
     monkeypatch.setattr(stamp, "_versions", stamp._versions.__wrapped__)
     monkeypatch.setattr(stamp, "_version", lambda n: "9" if n == "onnxruntime" else known(n))
     assert stamp.of_stereo("sgbm") == before[0]
-    assert stamp.of_stereo("onnx", str(path)) != before[1]
+    again = stamp.of_stereo("onnx", str(path))
+    assert again != before[1]
+    path.with_name(f"{path.name}.data").write_bytes(b"weights that the graph refers to")
+    assert stamp.of_stereo("onnx", str(path)) != again
 
 
 def test_commands_share_one_page_and_each_replaces_its_own_part(tmp_path):
@@ -175,18 +178,38 @@ def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none
         TRUTH: Tally({i: DepthSamples(true, np.array([np.nan, 6.0, np.inf])) for i in (0, 1)}),
     }
     near = {name: found[0] for name, found in by_range(tallies).items()}
-    own, answerable = near["all"]
+    own, common, _ = near["all"]
     assert (own.pixels, own.answered, own.mae_m) == (4, 3, 1.0)
-    assert (answerable.pixels, answerable.mae_m) == (2, 1.0)
-    own, answerable = near["begun"]
-    assert (own.pixels, answerable.pixels, answerable.mae_m) == (2, 1, 0.0)
-    assert by_range(tallies)["all"][3][1].pixels == 2  # at 50 m, infinity is an answer
+    assert (common.pixels, common.mae_m) == (2, 1.0)
+    own, common, _ = near["begun"]
+    assert (own.pixels, common.pixels, common.mae_m) == (2, 1, 0.0)
+    assert by_range(tallies)["all"][3].common.pixels == 2  # at 50 m, infinity is an answer
     alone = {name: tallies[name] for name in ("begun", TRUTH)}
     assert by_range(alone)["begun"][0] == near["begun"]  # whoever else is there
-    assert near["not yet"][0].pixels == 0
+    assert near["not yet"].own.pixels == 0
     names = [row[0] for row in depth_rows(by_range(tallies), {m: t.counts for m, t in
                                                               tallies.items()})]  # fmt: skip
     assert names == ["all (1 failed)", "begun (1 of 2 pairs)", "not yet (0 of 2 pairs)", TRUTH]
+
+
+def test_a_row_that_leaves_out_hard_pixels_is_held_against_the_truth_of_its_own():
+    true = np.array([5.0, 5.0, 15.0])
+    tallies = {
+        "easy": Tally({0: DepthSamples(true, np.array([6.0, np.nan, 15.0]))}),
+        "near": Tally({0: DepthSamples(true, np.array([6.0, 6.0, np.nan]))}),
+        TRUTH: Tally({0: DepthSamples(true, np.array([5.5, 9.0, 15.0]))}),
+    }
+    found = by_range(tallies)
+    own, common, by_truth = found["easy"][0]
+    assert (own.coverage, common.mae_m, by_truth.mae_m) == (0.5, 1.0, 0.5)
+    assert found[TRUTH][0].common.mae_m == found[TRUTH][0].by_truth.mae_m == 2.25
+    rows = {row[0]: row[1:] for row in depth_rows(found, {m: t.counts for m, t in tallies.items()})}
+    assert rows["easy"][0] == "1.00 / 1.00\ntruth 0.50 / 0.50, 50%"
+    assert rows["easy"][-1] == "0.50\ntruth 0.25"
+    assert rows["near"][1] == "–\n0%"
+    assert rows["near"][-1] == "–"  # not the 1 m of what it answers
+    assert rows[TRUTH][0] == "2.25 / 2.25\n100%"
+    assert rows[TRUTH][2] == "–"  # nothing is so far away
 
 
 def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
@@ -199,15 +222,17 @@ def test_each_stereo_matcher_and_t_has_its_files_and_one_without_weights_a_line(
         monkeypatch.setitem(STEREO, name, lambda *_, flat=flat: lambda *_: flat(dtype=np.float32))
     given += ["--pairs", "1"]
     assert main([*given, "--stereo", "far", "near=a/b.pt", "hitnet"]) == 0
-    assert "hitnet: no weights: hitnet: no weights are shipped. Train" in capsys.readouterr().out
+    assert "hitnet: no weights are shipped. Train" in capsys.readouterr().out
     folder = tmp_path / "results"
     names = {path.name for path in folder.glob("depth.*.csv")}
     assert names == {"depth.far.nominal.csv", f"depth.{file_name('near=a/b.pt')}.nominal.csv"}
     for name in names:
         part = (folder / "sections" / name).with_suffix(".html").read_text("utf-8")
-        assert "hitnet: no weights" in part
+        assert "hitnet: no weights are shipped" in part
         assert part in (folder / "report.html").read_text("utf-8")
     assert main([*given, "--stereo", "hitnet"]) == 2
+    assert main([*given, "--stereo", "far", "hitnet=typo.safetensors"]) == 2
+    assert "hitnet: typo.safetensors: no such file" in capsys.readouterr().err
 
 
 def test_negative_disparities_of_a_wrong_pose_are_answers_and_of_the_true_one_refused(

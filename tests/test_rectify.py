@@ -21,13 +21,13 @@ from flowrect.estimate import Calibrator
 from flowrect.files import read_rgb
 from flowrect.formats import opencv, read_calibration
 from flowrect.matchers import sift
-from flowrect.methods import FromMatches, Network
+from flowrect.methods import FromMatches, Network, PoseEstimate
 from flowrect.model import Prediction, Rectifier
 from flowrect.overlay import TILE_PX, View, choose_matches, draw_overlay
 from flowrect.quality import MIN_MATCHES, MatchedRays, sift_matches
 from flowrect.rectify import PairFiles, main, rectify_pair, write_rgb
 from flowrect.sample import Image
-from flowrect.solvers import SOLVERS
+from flowrect.solvers import SOLVERS, NoSolution
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
@@ -214,6 +214,24 @@ def test_what_a_network_says_stands_where_there_are_no_matches_and_is_noted(tmp_
         rectify_pair(FromMatches("sift", SOLVERS["5dof"]), "alone", RIG, files)
 
 
+def test_a_network_of_horizontal_rigs_is_not_the_last_word_on_vertical_ones(tmp_path):
+    def unlike(*_: object) -> PoseEstimate:
+        raise NoSolution("images hardly match")
+
+    method = FromMatches("sift", SOLVERS["5dof"], start=unlike)
+    result = rectify_pair(method, "fitted", VERTICAL, take(tmp_path, "vertical"))
+    error = Rotation.from_matrix(
+        pose_now(VERTICAL)[:3, :3] @ result.rig.T_right_left[:3, :3].T
+    ).as_rotvec(degrees=True)
+    assert np.abs(error).max() < 0.1
+    assert "horizontal rigs only, is left out: images hardly match" in result.quality.notes[0]
+    with pytest.raises(UserError, match="no pose found: images hardly match"):
+        rectify_pair(method, "fitted", RIG, take(tmp_path))
+    blank = np.full((*WH[::-1], 3), 100, np.uint8)
+    with pytest.raises(NoSolution, match="only 0 matches"):  # the prior does not stand
+        method(blank, blank, K, K, VERTICAL.T_right_left)
+
+
 def test_an_estimate_that_makes_rows_worse_is_noted(tmp_path):
     true = replace(RIG, T_right_left=pose_now(RIG))
     result = rectify_pair(knowing(np.eye(3)), "wrong", true, take(tmp_path))
@@ -308,6 +326,34 @@ def test_folders_are_matched_by_name_and_summed_up(folders, weights, capsys):
     rows = summary(folders)
     assert [row["name"] for row in rows] == ["a"]
     assert float(rows[0]["before_px"]) > 3
+
+
+def test_a_damaged_first_image_costs_its_pair_alone(folders, weights, capsys):
+    (folders / "left" / "a.png").write_bytes(b"no image")
+    assert main(command(folders)) == 2
+    assert "a failed:" in capsys.readouterr().out
+    assert [row["name"] for row in summary(folders)] == ["b"]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_sixteen_bits_are_refused_rather_than_cut(side, folders, weights, capsys):
+    path = folders / side / "a.png"
+    cv2.imwrite(str(path), 16 * cv2.imread(str(path)).astype(np.uint16))  # 12 bits
+    assert main(command(folders)) == 2
+    assert "samples of uint16, expected 8 bits" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_pixels_lie_as_they_are_stored_whatever_a_viewer_is_told(tmp_path):
+    image = photographs("pinhole")[0]
+    write_rgb(tmp_path / "a.jpg", image)
+    stored = (tmp_path / "a.jpg").read_bytes()
+    tag = b"II*\0\x08\0\0\0\x01\0" + b"\x12\x01\x03\0\x01\0\0\0\x03\0\0\0" + bytes(4)
+    exif = b"Exif\0\0" + tag  # orientation 3: upside down
+    marker = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+    (tmp_path / "turned.jpg").write_bytes(stored[:2] + marker + stored[2:])
+    plain, turned = (str(tmp_path / name) for name in ("a.jpg", "turned.jpg"))
+    assert not np.array_equal(cv2.imread(turned), cv2.imread(plain))
+    np.testing.assert_array_equal(read_rgb(Path(turned)), read_rgb(Path(plain)))
 
 
 def test_nothing_is_overwritten_unasked(folders, weights, capsys):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flowrect.depth import sgbm
-from flowrect.depth.external import find_onnx, onnx_matcher
+from flowrect.depth.external import files_of, find_onnx, onnx_matcher
 from flowrect.depth.hitnet_weights import find_hitnet, hitnet_matcher
 from flowrect.sample import Image
 from simgen.errors import UserError
@@ -29,8 +29,11 @@ STEREO: dict[str, Callable[[float, str], StereoMatcher]] = {
     "onnx": lambda _, weights: onnx_matcher(weights),
 }
 """made of the largest disparity that can occur [px], and of weights where there are any"""
-WEIGHTS: dict[str, Callable[[str], Path]] = {"hitnet": find_hitnet, "onnx": find_onnx}
-"""the file that a matcher takes its weights from, of those that have any"""
+WEIGHTS: dict[str, Callable[[str], list[Path]]] = {
+    "hitnet": lambda weights: [find_hitnet(weights)],
+    "onnx": lambda weights: files_of(find_onnx(weights)),
+}
+"""the files that a matcher takes its weights from, of those that have any"""
 
 
 def load_stereo(name: str, *, largest_px: float, weights: str = "") -> StereoMatcher:

@@ -5,7 +5,8 @@ The file's contract, whoever exported it:
     inputs    left, right    (1, 3, H, W) float32, RGB in 0…255, rectified
     output    the first one  (1, 1, H, W) or (1, H, W) float32, u_left − u_right [px]
 
-H and W are free, or those of the images. Networks that give the flow's x instead (DLNR and
+H and W are free, or those of the images. Weights in a file beside it are those of its name and a
+suffix (FILE.onnx.data, as PyTorch writes them). Networks that give the flow's x instead (DLNR and
 RAFT-Stereo do) are to be exported with the sign changed, those that want 0…1 with a division.
 ONNX, since such a file holds operators and numbers: PyTorch checkpoints and TorchScript are
 unpickled when they are read, which runs the code in them. Nothing is unpickled here.
@@ -51,21 +52,26 @@ class OnnxStereo:
         size = self._size((h, w))
         names = [x.name for x in self.session.get_inputs()]
         given = dict(zip(names, (_planes(x, size) for x in (left, right)), strict=True))
-        found = np.asarray(self.session.run(None, given)[0])
+        try:
+            found = np.asarray(self.session.run(None, given)[0])
+        except Exception as error:  # its classes derive from RuntimeError or Exception, as it likes
+            raise UserError(
+                f"{self.name} cannot be run on images of {size[1]}x{size[0]} "
+                f"({str(error).splitlines()[0]}). Export it for that size, or with free ones."
+            ) from error
         return self._checked(found, size)[:h, :w]
 
     def _size(self, hw: tuple[int, int]) -> tuple[int, int]:
         """Rows and columns that the network is given."""
         wanted = tuple(self.session.get_inputs()[0].shape[2:])
-        if not all(isinstance(n, int) for n in wanted):
-            h, w = (n + -n % MULTIPLE for n in hw)
-            return h, w
-        if wanted != hw:
+        fixed = [isinstance(n, int) for n in wanted]
+        if any(f and n != own for f, n, own in zip(fixed, wanted, hw, strict=True)):
             raise UserError(
                 f"{self.name} takes images of {wanted[1]}x{wanted[0]} only, these are "
                 f"{hw[1]}x{hw[0]}. Export it with free sizes, or for this one."
             )
-        return hw
+        h, w = (n if f else n + -n % MULTIPLE for f, n in zip(fixed, hw, strict=True))
+        return h, w
 
     def _checked(self, found: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float32]:
         if found.shape not in ((1, 1, *size), (1, *size)):
@@ -83,12 +89,17 @@ def find_onnx(weights: str = "") -> Path:
     if not Path(name).is_file():
         what = f"{name}: no such file" if name else "no file is named"
         raise UserError(
-            f"onnx stereo matcher (DLNR and others): {what}. Nothing is fetched from here: take "
-            f"{PUBLISHED}, export the network to ONNX as flowrect/depth/external.py says, and name "
-            f"the file (onnx=FILE), or set {VARIABLE} to it. sgbm needs no weights, and hitnet's "
-            "are shipped."
+            f"onnx stereo matcher (DLNR and others): no weights, {what}. Nothing is fetched from "
+            f"here: take {PUBLISHED}, export the network to ONNX as flowrect/depth/external.py "
+            f"says, and name the file (onnx=FILE), or set {VARIABLE} to it. sgbm needs no weights, "
+            "and hitnet's are shipped."
         )
     return Path(name)
+
+
+def files_of(path: Path) -> list[Path]:
+    """The ONNX file, and those beside it that may hold its weights."""
+    return sorted(p for p in path.parent.iterdir() if p.is_file() and p.name.startswith(path.name))
 
 
 def onnx_matcher(weights: str = "") -> OnnxStereo:

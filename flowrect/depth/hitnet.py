@@ -4,7 +4,7 @@ Source: Tankovich et al., *HITNet: Hierarchical Iterative Tile Refinement Networ
 Stereo Matching*, CVPR 2021. Level l has 1 / 2^l of the resolution; ``flowrect.depth.tiles`` says
 what a hypothesis is. Deviations: narrower and shallower (``HitnetConfig``); the truth is points
 between pixels, not a map (``hitnet_loss``); where weights start is our choice, the paper does not
-say. No weights are shipped: ``python -m flowrect.train_depth`` trains some.
+say. The weights that are shipped are a beginning; ``python -m flowrect.train_depth`` trains others.
 """
 
 from __future__ import annotations

@@ -85,6 +85,8 @@ def find_hitnet(weights: str = "") -> Path:
             f"hitnet: no weights are shipped. Train some with {HOW_TO_TRAIN}, and name the file, "
             f"or set {VARIABLE} to it."
         )
+    if not Path(name).is_file():
+        raise UserError(f"hitnet: {name}: no such file. Check the name, or leave it out.")
     return Path(name)
 
 

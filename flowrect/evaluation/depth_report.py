@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from flowrect.depth_error import EDGES_M, MatchedPair, RangeError
+from flowrect.depth_error import EDGES_M, MatchedPair, RangeComparison
 from flowrect.evaluation.drawing import (
     SOME_CHARTED,
     best_of_each,
@@ -31,9 +31,12 @@ from simgen.paint import depth_colors
 SHOWN_M = 3.0, EDGES_M[-1]
 """ends of the colours of depth"""
 
-Ranges = Mapping[str, Sequence[tuple[RangeError, RangeError]]]
-"""by method: errors of each range, of all its answers, and of those for pixels that are answered
-where the true pose rectifies the pair"""
+Ranges = Mapping[str, Sequence[RangeComparison]]
+"""by method: errors of each range"""
+CELLS = (
+    "mean / median of |error| in m of pixels that both the row and the true pose give an answer "
+    "for; what the true pose leaves of the same pixels, and the share of all that the row answers"
+)
 
 
 class Counts(NamedTuple):
@@ -71,16 +74,16 @@ def depth_report(
     lacking: Mapping[str, str],
 ) -> list[str]:
     """Its sections; ``lacking`` says why other stereo matchers could not run."""
-    errors = {m: _mean_of_means(found) for m, found in ranges.items()}
+    errors = {m: _means(found)[0] for m, found in ranges.items()}
     charted = {m: ranges[m] for m in best_of_each(errors)}
     charts = {
         "mean absolute error": _by_range(
-            {m: [answerable.mae_m for _, answerable in found] for m, found in charted.items()},
+            {m: [x.common.mae_m for x in found] for m, found in charted.items()},
             "mean |error| [m]",
             log=True,
         ),
         "share of pixels answered": _by_range(
-            {m: [100 * own.coverage for own, _ in found] for m, found in charted.items()},
+            {m: [100 * x.own.coverage for x in found] for m, found in charted.items()},
             "% of pixels",
         ),
     }
@@ -89,11 +92,7 @@ def depth_report(
         for name, figure in charts.items()
     )
     which = [SOME_CHARTED.format(len(charted), len(ranges))] * (len(charted) < len(ranges))
-    absent = [f"{name}: {why}" for name, why in lacking.items()]
-    numbers = (
-        "Mean / median of |error| in m of pixels that are answered where the true pose rectifies "
-        "the pair, too; in brackets, the share of all pixels that the method answered."
-    )
+    absent = [f"Left out: {why}" for why in lacking.values()]
     shown = (
         "Left and right image laid over each other: what is at one height in both stands on one "
         f"line. Below, depth: red {SHOWN_M[0]:g} m, blue {SHOWN_M[1]:g} m, grey no answer. Chosen "
@@ -102,7 +101,7 @@ def depth_report(
     return [
         section(f"Depth by {title}", f'<div class="charts">{"".join(drawn)}</div>',
                 " ".join(["Error by range of true depth.", *which, *absent])),
-        section(f"Depth by {stereo} in numbers", _table(ranges, counts), numbers),
+        section(f"Depth by {stereo} in numbers", _table(ranges, counts), f"{CELLS}.".capitalize()),
         section(f"Pairs, and their depth by {stereo}", _pictures(pictures), shown),
     ]  # fmt: skip
 
@@ -130,21 +129,35 @@ def _table(ranges: Ranges, counts: Mapping[str, Counts]) -> str:
 
 
 def depth_rows(ranges: Ranges, counts: Mapping[str, Counts]) -> Iterator[list[str]]:
-    """Cells of each method by range: MAE / median [m] of answerable pixels, and its coverage."""
+    """Cells of each method by range, see ``CELLS``, and the means of their mean errors."""
     most = max(c.pairs for c in counts.values())
     for method, found in ranges.items():
-        mean = _mean_of_means(found)
+        mean, by_truth = _means(found)
         yield [
             method + _mark(counts[method], most),
-            *(f"{c.mae_m:.2f} / {c.median_m:.2f}\n{own.coverage:.0%}" for own, c in found),
-            f"{mean:.2f}" if np.isfinite(mean) else "–",
+            *(map(_cell, found)),
+            f"{mean:.2f}\ntruth {by_truth:.2f}" if np.isfinite(mean) else "–",
         ]
 
 
-def _mean_of_means(found: Sequence[tuple[RangeError, RangeError]]) -> float:
-    """Over the ranges that have one; infinite if none has."""
-    known = [c.mae_m for _, c in found if np.isfinite(c.mae_m)]
-    return float(np.mean(known)) if known else np.inf
+def _cell(x: RangeComparison) -> str:
+    if not x.common.answered:
+        return f"–\n{x.own.coverage:.0%}" if x.own.pixels else "–"
+    other = f"truth {x.by_truth.mae_m:.2f} / {x.by_truth.median_m:.2f}, "
+    other *= x.by_truth != x.common
+    return f"{x.common.mae_m:.2f} / {x.common.median_m:.2f}\n{other}{x.own.coverage:.0%}"
+
+
+def _means(found: Sequence[RangeComparison]) -> tuple[float, float]:
+    """Means over the ranges that have pixels, its own and the true pose's on the same pixels.
+
+    Infinite where there is a range without an answer: the far ones, which go first, weigh most.
+    """
+    known = [x for x in found if x.own.pixels]
+    if not known or not all(x.common.answered for x in known):
+        return np.inf, np.inf
+    own, by_truth = zip(*((x.common.mae_m, x.by_truth.mae_m) for x in known), strict=True)
+    return float(np.mean(own)), float(np.mean(by_truth))
 
 
 def _mark(counts: Counts, of: int) -> str:

@@ -147,7 +147,7 @@ def _useless(truth: _Truth, estimate: PoseEstimate, translation: Translation) ->
     t = batch.t if translation == "gt" else _tensor(estimate.t)
     K = batch.K_left_metric, batch.K_right_metric
     rect = rectify(_tensor(estimate.R), t, *K, METRIC_WH)
-    if bool(rect.vertical != truth.nominal.vertical):
+    if bool(rect.vertical != truth.exact.vertical):
         return "its baseline lies across that of the rig"
     if truth.some is None:
         views = rectified_views(batch.left_metric, batch.right_metric, *K, rect)

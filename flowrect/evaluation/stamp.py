@@ -66,7 +66,7 @@ def of_flow() -> str:
 
 def of_stereo(name: str, weights: str = "") -> str:
     """Of everything that decides which disparity a stereo matcher finds; see ``load_stereo``."""
-    files = [WEIGHTS[name](weights)] if name in WEIGHTS else []
+    files = WEIGHTS[name](weights) if name in WEIGHTS else []
     runtime = ("onnxruntime",) if name == "onnx" else ()
     return _digest([*_sources(["depth"]), *files], (*_PACKAGES, *runtime))
 
