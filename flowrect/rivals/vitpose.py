@@ -14,8 +14,9 @@ Both directions, left to right and back, go through an MLP to a quaternion and t
 Deviations: the ResNet starts at random; the paper's knows ImageNet. Rays are those of the tokens'
 centres with the K of their image; the release spreads them over the whole image and exchanges rows
 and columns. Seven numbers are predicted, not twice seven of which one half is unused. No weight
-decay, and the rate decays exponentially instead of by one cycle. The first layer
-of the MLP is a :class:`WideLinear`: with 26,880 inputs turned at once all of its units died.
+decay, and the rate decays exponentially instead of by one cycle. Units of the MLP leak, and its
+first layer is a :class:`WideLinear`: with ReLU all of them died in training, first those that see
+26,880 inputs, which a step of Adam turns at once, then, with these divided, those of the next.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ BORDER = 2
 """features that the first convolution after the ResNet cuts on every side"""
 NUM_MONOMIALS = 6
 MLP_RATIO = 4
+LEAK = 0.1
+"""slope of the MLP's units below 0"""
 WIDE = 64.0
 """a power of 2, so that nothing is rounded by it"""
 
@@ -201,8 +204,8 @@ class ViTPose(nn.Module):
         last = nn.Linear(config.hidden, 7)
         answers(last, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
         self.pose = nn.Sequential(
-            WideLinear(inputs, config.hidden), nn.ReLU(),
-            nn.Linear(config.hidden, config.hidden), nn.ReLU(), last,
+            WideLinear(inputs, config.hidden), nn.LeakyReLU(LEAK),
+            nn.Linear(config.hidden, config.hidden), nn.LeakyReLU(LEAK), last,
         )  # fmt: skip
 
     def forward(
