@@ -28,7 +28,7 @@ def load_published(model_class: Any, published: Published) -> nn.Module:
         )  # fmt: skip
     except (OSError, ValueError, RuntimeError, SafetensorError) as error:
         cached = published.folder() is None and isinstance(error, OSError)
-        why = "nothing of it in the hub's cache" if cached else str(error).splitlines()[0]
+        why = "nothing usable of it in the hub's cache" if cached else str(error).splitlines()[0]
         raise published.absent(f"{place}: {why}") from error
     if info["missing_keys"]:
         raise published.absent(f"{place} lacks {min(info['missing_keys'])}")
