@@ -133,10 +133,11 @@ def depth_rows(ranges: Ranges, counts: Mapping[str, Counts]) -> Iterator[list[st
     most = max(c.pairs for c in counts.values())
     for method, found in ranges.items():
         mean, by_truth = _means(found)
+        other = f"\ntruth {by_truth:.2f}" * (mean != by_truth)
         yield [
             method + _mark(counts[method], most),
             *(map(_cell, found)),
-            f"{mean:.2f}\ntruth {by_truth:.2f}" if np.isfinite(mean) else "–",
+            f"{mean:.2f}{other}" if np.isfinite(mean) else "–",
         ]
 
 
