@@ -22,6 +22,7 @@ from flowrect.depth import StereoMatcher
 from flowrect.depth.frame import DepthFrame
 from flowrect.drectify import Rectification, warp
 from flowrect.geometry import inside, project
+from flowrect.metrics import bootstrap_sums, interval_of
 from flowrect.sample import Image, Pair
 from simgen.errors import UserError
 
@@ -67,6 +68,29 @@ class RangeComparison(NamedTuple):
     """what the true pose leaves of the same pixels"""
 
 
+class MeanError(NamedTuple):
+    """Mean of the mean errors of the ranges that have pixels, each of the same weight [m].
+
+    Of pixels that the true pose gives an answer for as well. Infinite where a range has none: the
+    far ones, which go first, weigh most.
+    """
+
+    mae_m: float
+    truth_mae_m: float
+    """what the true pose leaves of the same pixels"""
+    interval_m: tuple[float, float]
+    """95 % bootstrap interval of ``mae_m`` over scenes; NaN where these are too few"""
+    excess_interval_m: tuple[float, float]
+    """the same of ``mae_m`` − ``truth_mae_m``"""
+
+
+class Comparison(NamedTuple):
+    """Errors of one way to rectify the pairs, beside those of the true pose."""
+
+    ranges: list[RangeComparison]
+    mean: MeanError
+
+
 @dataclass(frozen=True, eq=False)
 class DepthSamples:
     """True and estimated z in the left camera frame [m] of pixels that both cameras see."""
@@ -105,11 +129,20 @@ class DepthSamples:
             figures = (float(size.mean()), float(np.median(size)), float(error.mean()))
         return RangeError(from_m, to_m, int(within.sum()), error.size, *figures)
 
+    def sums(self, edges_m: Sequence[float] = EDGES_M) -> Float:
+        """(2, ranges): of |estimated − true| [m] as in ``by_range``, and how many answers."""
+        known = ~np.isnan(self.estimated_m)
+        true_m, estimated_m = self.true_m[known], self.estimated_m[known]
+        error = np.abs(np.minimum(estimated_m, edges_m[-1]) - true_m)
+        index = np.searchsorted(edges_m, true_m, side="right")  # 0: nearer than all
+        columns = (np.bincount(index, weights, len(edges_m) + 1) for weights in (error, None))
+        return np.stack([x[1:-1] for x in columns]).astype(float)
+
 
 def compared(
-    own: Sequence[DepthSamples], by_truth: Sequence[DepthSamples]
-) -> list[RangeComparison]:
-    """By range, from the samples of the same pairs.
+    own: Sequence[DepthSamples], by_truth: Sequence[DepthSamples], scenes: Sequence[str]
+) -> Comparison:
+    """From the samples of the same pairs, and the scenes that these come from.
 
     Where a pose is wrong a stereo matcher answers fewer pixels, and the easier ones: its errors
     can be held against those of the true pose on the same pixels alone.
@@ -117,11 +150,32 @@ def compared(
     answers = [(~np.isnan(a.estimated_m), ~np.isnan(b.estimated_m))
                for a, b in zip(own, by_truth, strict=True)]  # fmt: skip
     common = [
-        DepthSamples.joined([s.subset(a & b) for s, (a, b) in zip(samples, answers, strict=True)])
+        [s.subset(a & b) for s, (a, b) in zip(samples, answers, strict=True)]
         for samples in (own, by_truth)
     ]
-    columns = (x.by_range() for x in (DepthSamples.joined(own), *common))
-    return [RangeComparison(*row) for row in zip(*columns, strict=True)]
+    columns = (DepthSamples.joined(x).by_range() for x in (own, *common))
+    ranges = [RangeComparison(*row) for row in zip(*columns, strict=True)]
+    known = [i for i, x in enumerate(ranges) if x.own.pixels]
+    if not known or not all(ranges[i].common.answered for i in known):
+        return Comparison(ranges, MeanError(np.inf, np.inf, (np.nan, np.nan), (np.nan, np.nan)))
+    sums = np.stack([np.stack([s.sums()[:, known] for s in pair])
+                     for pair in zip(*common, strict=True)])  # fmt: skip
+    return Comparison(ranges, _mean_error(sums, scenes))
+
+
+def _mean_error(sums: Float, scenes: Sequence[str]) -> MeanError:
+    """Of sums (pairs, 2, 2, ranges): by the pose and by the truth, of errors and of answers."""
+    draws = bootstrap_sums(sums.reshape(len(sums), -1), scenes, rng=np.random.default_rng(0))
+    mae, truth = _mean_of_ranges(sums.sum(0))
+    own, by_truth = _mean_of_ranges(draws.reshape(-1, *sums.shape[1:])).T
+    return MeanError(float(mae), float(truth), interval_of(own), interval_of(own - by_truth))
+
+
+def _mean_of_ranges(sums: Float) -> Float:
+    """(…) of (…, 2, ranges); NaN where a range has no answer."""
+    with np.errstate(invalid="ignore"):
+        mean: Float = (sums[..., 0, :] / sums[..., 1, :]).mean(-1)
+    return mean
 
 
 def depth_samples(

@@ -46,9 +46,9 @@ from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery, Translation, evenly, prior, wh_of
 from flowrect.evaluation.depth_report import (
     CELLS,
+    Comparisons,
     Counts,
     Picture,
-    Ranges,
     depth_report,
     depth_rows,
 )
@@ -108,6 +108,8 @@ class Tally:
 
     samples: dict[int, DepthSamples] = field(default_factory=dict)
     """by pair, of those that it has predicted"""
+    scenes: dict[int, str] = field(default_factory=dict)
+    """by pair, what it is of"""
     pictures: dict[int, Picture] = field(default_factory=dict)
     """of some pairs"""
     failed: int = 0
@@ -139,6 +141,8 @@ def _require_sensible(options: EvaluateDepthOptions) -> None:
     for name, value, least in (("--pairs", options.pairs, 1), ("--limit", options.limit, 0)):
         if value < least:
             raise UserError(f"{name} {value}: expected at least {least}.")
+    if not options.stereo:
+        raise UserError(f"--stereo: expected some of {', '.join(STEREO)}.")
     if not options.nearest_m > 0:
         raise UserError(f"--nearest-m {options.nearest_m:g}: expected more than 0.")
 
@@ -171,6 +175,7 @@ def evaluate(options: EvaluateDepthOptions, stereo: str) -> dict[str, Tally]:
         _require_sign(found[TRUTH], pair, stereo)
         for name, rectified in found.items():
             tallies[name].samples[i] = rectified.samples(truth)
+            tallies[name].scenes[i] = pair.scene
             if i in shown:
                 tallies[name].pictures[i] = Picture.of(rectified, pair.name, name)
     return tallies
@@ -262,11 +267,15 @@ def _stereo(options: EvaluateDepthOptions, name: str) -> Stereo:
 # --- tables ------------------------------------------------------------------------------------
 
 
-def by_range(tallies: dict[str, Tally]) -> Ranges:
-    """Errors of each method and range; no method's depend on which others there are."""
+def comparisons(tallies: dict[str, Tally]) -> Comparisons:
+    """Errors of each method; no method's depend on which others there are."""
     truth = tallies[TRUTH].samples
     return {
-        name: compared(list(tally.samples.values()), [truth[i] for i in tally.samples])
+        name: compared(
+            list(tally.samples.values()),
+            [truth[i] for i in tally.samples],
+            [tally.scenes[i] for i in tally.samples],
+        )
         for name, tally in tallies.items()
     }
 
@@ -276,13 +285,13 @@ COLUMNS = ("method", "pairs", "failed_pairs", "from_m", "to_m", "pixels", "cover
            "truth_mae_m", "truth_median_m")  # fmt: skip
 
 
-def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
+def write_csv(path: Path, found: Comparisons, counts: Mapping[str, Counts]) -> None:
     """One line for each method and range."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for name, rows in ranges.items():
-            for own, common, truth in rows:
+        for name, of_method in found.items():
+            for own, common, truth in of_method.ranges:
                 writer.writerow([name, *counts[name], own.from_m, own.to_m, own.pixels,
                                  own.coverage, own.mae_m, own.median_m, own.bias_m,
                                  common.pixels, common.mae_m, common.median_m,
@@ -292,23 +301,23 @@ def write_csv(path: Path, ranges: Ranges, counts: Mapping[str, Counts]) -> None:
 HEAD = ("", *(f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)), "mean MAE")
 
 
-def table(ranges: Ranges, counts: Mapping[str, Counts], title: str) -> Table:
+def table(found: Comparisons, counts: Mapping[str, Counts], title: str) -> Table:
     """Cells of ``depth_rows``."""
     result = Table(*HEAD, title=escape(title))
-    for row in depth_rows(ranges, counts):
+    for row in depth_rows(found, counts):
         result.add_row(*map(escape, row))
     return result
 
 
 def write_markdown(
     path: Path,
-    ranges: Ranges,
+    found: Comparisons,
     counts: Mapping[str, Counts],
     title: str,
     lacking: Mapping[str, str],
 ) -> None:
     """The same as ``table``, and why other stereo matchers could not run."""
-    rows = ([cell.replace("\n", ", ") for cell in row] for row in depth_rows(ranges, counts))
+    rows = ([cell.replace("\n", ", ") for cell in row] for row in depth_rows(found, counts))
     absent = "".join(f"\nLeft out: {why}\n" for why in lacking.values())
     path.write_text(f"## Depth by {title}\n\n{markdown(HEAD, rows)}{absent}", encoding="utf-8")
 
@@ -316,19 +325,19 @@ def write_markdown(
 def _write(options: EvaluateDepthOptions, stereo: str, lacking: Mapping[str, str]) -> None:
     """Measures by one stereo matcher, and writes and shows it."""
     tallies = evaluate(options, stereo)
-    ranges, counts = by_range(tallies), {name: tally.counts for name, tally in tallies.items()}
+    found, counts = comparisons(tallies), {name: tally.counts for name, tally in tallies.items()}
     name = f"depth.{file_name(stereo)}.{options.translation}"
-    write_csv(options.results / f"{name}.csv", ranges, counts)
+    write_csv(options.results / f"{name}.csv", found, counts)
     title = f"{stereo}, {counts[TRUTH].pairs} pairs, t = {options.translation}"
     pictures = [t.pictures[i] for i in tallies[TRUTH].pictures for t in tallies.values()
                 if i in t.pictures]  # fmt: skip
-    sections = depth_report(stereo, title, ranges, counts, pictures, lacking)
+    sections = depth_report(stereo, title, found, counts, pictures, lacking)
     own = {PRIOR, TRUTH}
     sources = one_page.Sources.of(_delivery(options).open().fingerprint, tallies.keys() - own)
     path = one_page.put(options.results, name, sections, sources)
     title += f": {CELLS}"
-    write_markdown(options.results / f"{name}.md", ranges, counts, title, lacking)
-    Console(width=200).print(table(ranges, counts, title))
+    write_markdown(options.results / f"{name}.md", found, counts, title, lacking)
+    Console(width=200).print(table(found, counts, title))
     print(f"{path}: the same as curves, with pictures")
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from flowrect.correspondences import Correspondences
@@ -191,13 +191,33 @@ def bootstrap_interval(
     independent, and the interval would come out too narrow. NaN for less than ``MIN_SCENES``.
     """
     values = np.asarray(values, dtype=np.float64)
+    columns = np.stack([values, np.ones_like(values)], axis=1)
+    sums, counts = bootstrap_sums(columns, scenes, rng=rng, num=num).T
+    return interval_of(sums / counts, level)
+
+
+def bootstrap_sums(
+    values: ArrayLike, scenes: ArrayLike, *, rng: np.random.Generator, num: int = 2000
+) -> NDArray[np.float64]:
+    """Sums (num, k) of values (n, k) over the pairs of scenes drawn with replacement.
+
+    For figures that are made of sums, such as means over pixels. NaN for less than ``MIN_SCENES``.
+    """
+    values = np.asarray(values, dtype=np.float64)
     _, scene = np.unique(np.asarray(scenes), return_inverse=True)
-    counts, sums = np.bincount(scene), np.bincount(scene, weights=values)
-    if len(counts) < MIN_SCENES:
+    by_scene = np.stack([np.bincount(scene, weights=column) for column in values.T], axis=1)
+    of = len(by_scene)
+    if of < MIN_SCENES:
+        return np.full((num, values.shape[1]), np.nan)
+    return np.asarray(by_scene[rng.integers(0, of, (num, of))].sum(1))
+
+
+def interval_of(figures: NDArray[np.float64], level: float = 0.95) -> tuple[float, float]:
+    """Percentile interval of a figure (num,) over draws; NaN, where one has none, are left out."""
+    known = figures[~np.isnan(figures)]
+    if not known.size:
         return np.nan, np.nan
-    draws = rng.integers(0, len(counts), (num, len(counts)))
-    means = sums[draws].sum(1) / counts[draws].sum(1)
-    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.quantile(known, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)
 
 

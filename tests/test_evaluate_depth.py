@@ -15,7 +15,7 @@ from tiny_network import road_set
 
 from flowrect.depth import STEREO, StereoMatcher, hitnet_weights, load_stereo
 from flowrect.depth_error import DepthSamples, comparable, matched
-from flowrect.evaluate_depth import PRIOR, Tally, by_range, main, rectified_by
+from flowrect.evaluate_depth import PRIOR, Tally, comparisons, main, rectified_by
 from flowrect.evaluation import one_page, stamp
 from flowrect.evaluation.delivered import Delivery
 from flowrect.evaluation.depth_report import depth_rows
@@ -168,44 +168,92 @@ def test_what_is_of_other_pairs_or_weights_leaves_the_page(later, tmp_path):
     assert [p.name for p in (tmp_path / "sections").iterdir()] == ["rectification.html"]
 
 
+def tally(samples: dict[int, DepthSamples], failed: int = 0) -> Tally:
+    return Tally(samples, {i: f"scene {i}" for i in samples}, failed=failed)
+
+
+def test_the_mean_error_has_an_interval_over_scenes_and_so_has_what_it_exceeds_the_truth_by():
+    """Against draws in a loop, of two pairs a scene."""
+    rng = np.random.default_rng(3)
+    true = [rng.choice([5.0, 15.0], 40) for _ in range(24)]
+    noise = [rng.normal(size=40) * rng.uniform(0.2, 2) for _ in true]
+    rows = {"wrong": [a + 2 * b + 0.1 for a, b in zip(true, noise, strict=True)],
+            TRUTH: [a + b for a, b in zip(true, noise, strict=True)]}  # fmt: skip
+    rows["wrong"][0][:5] = np.nan
+    tallies = {
+        name: Tally({i: DepthSamples(a, b) for i, (a, b) in enumerate(zip(true, row, strict=True))},
+                    {i: f"scene {i // 2}" for i in range(len(row))})
+        for name, row in rows.items()
+    }  # fmt: skip
+
+    def mean(row: str, pairs: list[int]) -> float:
+        by_range = {5.0: [], 15.0: []}
+        for i in pairs:
+            for k, z in enumerate(true[i]):
+                if not np.isnan(rows["wrong"][i][k]):
+                    by_range[z].append(abs(rows[row][i][k] - z))
+        return float(np.mean([np.mean(errors) for errors in by_range.values()]))
+
+    draws = []
+    for _ in range(1500):
+        pairs = [2 * s + k for s in rng.integers(0, 12, 12) for k in (0, 1)]
+        draws.append((mean("wrong", pairs), mean("wrong", pairs) - mean(TRUTH, pairs)))
+    found = comparisons(tallies)["wrong"].mean
+    assert found.mae_m == pytest.approx(mean("wrong", list(range(24))))
+    assert found.truth_mae_m == pytest.approx(mean(TRUTH, list(range(24))))
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    assert found.interval_m == pytest.approx((low[0], high[0]), rel=0.06)
+    assert found.excess_interval_m == pytest.approx((low[1], high[1]), rel=0.06)
+    by_truth = comparisons(tallies)[TRUTH].mean
+    assert by_truth.excess_interval_m == (0, 0)
+    counts = {m: t.counts for m, t in tallies.items()}
+    cells = {row[0]: row for row in depth_rows(comparisons(tallies), counts)}["wrong"]
+    own, other = cells[-1].split("\n")
+    assert own == f"{found.mae_m:.2f} [{found.interval_m[0]:.2f}, {found.interval_m[1]:.2f}]"
+    assert other.startswith(f"truth {found.truth_mae_m:.2f}, +")
+
+
 def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none():
     true = np.array([5.0, 6.0, 50.0])
     some = np.array([np.nan, 7.0, 53.0])
     tallies = {
-        "all": Tally({0: DepthSamples(true, true + 1), 1: DepthSamples(true, some)}, failed=1),
-        "begun": Tally({1: DepthSamples(true, true)}),
+        "all": tally({0: DepthSamples(true, true + 1), 1: DepthSamples(true, some)}, failed=1),
+        "begun": tally({1: DepthSamples(true, true)}),
         "not yet": Tally(),
-        TRUTH: Tally({i: DepthSamples(true, np.array([np.nan, 6.0, np.inf])) for i in (0, 1)}),
+        TRUTH: tally({i: DepthSamples(true, np.array([np.nan, 6.0, np.inf])) for i in (0, 1)}),
     }
-    near = {name: found[0] for name, found in by_range(tallies).items()}
+    near = {name: found.ranges[0] for name, found in comparisons(tallies).items()}
     own, common, _ = near["all"]
     assert (own.pixels, own.answered, own.mae_m) == (4, 3, 1.0)
     assert (common.pixels, common.mae_m) == (2, 1.0)
     own, common, _ = near["begun"]
     assert (own.pixels, common.pixels, common.mae_m) == (2, 1, 0.0)
-    assert by_range(tallies)["all"][3].common.pixels == 2  # at 50 m, infinity is an answer
+    assert (
+        comparisons(tallies)["all"].ranges[3].common.pixels == 2
+    )  # at 50 m, infinity is an answer
     alone = {name: tallies[name] for name in ("begun", TRUTH)}
-    assert by_range(alone)["begun"][0] == near["begun"]  # whoever else is there
+    assert comparisons(alone)["begun"].ranges[0] == near["begun"]  # whoever else is there
     assert near["not yet"].own.pixels == 0
-    names = [row[0] for row in depth_rows(by_range(tallies), {m: t.counts for m, t in
-                                                              tallies.items()})]  # fmt: skip
+    names = [row[0] for row in depth_rows(comparisons(tallies), {m: t.counts for m, t in
+                                                                 tallies.items()})]  # fmt: skip
     assert names == ["all (1 failed)", "begun (1 of 2 pairs)", "not yet (0 of 2 pairs)", TRUTH]
 
 
 def test_a_row_that_leaves_out_hard_pixels_is_held_against_the_truth_of_its_own():
     true = np.array([5.0, 5.0, 15.0])
     tallies = {
-        "easy": Tally({0: DepthSamples(true, np.array([6.0, np.nan, 15.0]))}),
-        "near": Tally({0: DepthSamples(true, np.array([6.0, 6.0, np.nan]))}),
-        TRUTH: Tally({0: DepthSamples(true, np.array([5.5, 9.0, 15.0]))}),
+        "easy": tally({0: DepthSamples(true, np.array([6.0, np.nan, 15.0]))}),
+        "near": tally({0: DepthSamples(true, np.array([6.0, 6.0, np.nan]))}),
+        TRUTH: tally({0: DepthSamples(true, np.array([5.5, 9.0, 15.0]))}),
     }
-    found = by_range(tallies)
-    own, common, by_truth = found["easy"][0]
+    found = comparisons(tallies)
+    own, common, by_truth = found["easy"].ranges[0]
     assert (own.coverage, common.mae_m, by_truth.mae_m) == (0.5, 1.0, 0.5)
-    assert found[TRUTH][0].common.mae_m == found[TRUTH][0].by_truth.mae_m == 2.25
+    near = found[TRUTH].ranges[0]
+    assert near.common.mae_m == near.by_truth.mae_m == 2.25
     rows = {row[0]: row[1:] for row in depth_rows(found, {m: t.counts for m, t in tallies.items()})}
     assert rows["easy"][0] == "1.00 / 1.00\ntruth 0.50 / 0.50, 50%"
-    assert rows["easy"][-1] == "0.50\ntruth 0.25"
+    assert rows["easy"][-1] == "0.50\ntruth 0.25, +0.25"
     assert rows["near"][1] == "–\n0%"
     assert rows["near"][-1] == "–"  # not the 1 m of what it answers
     assert rows[TRUTH][0] == "2.25 / 2.25\n100%"

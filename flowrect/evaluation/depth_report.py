@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from flowrect.depth_error import EDGES_M, MatchedPair, RangeComparison
+from flowrect.depth_error import EDGES_M, Comparison, MatchedPair, MeanError, RangeComparison
 from flowrect.evaluation.drawing import (
     SOME_CHARTED,
     best_of_each,
@@ -31,11 +31,13 @@ from simgen.paint import depth_colors
 SHOWN_M = 3.0, EDGES_M[-1]
 """ends of the colours of depth"""
 
-Ranges = Mapping[str, Sequence[RangeComparison]]
-"""by method: errors of each range"""
+Comparisons = Mapping[str, Comparison]
+"""by method"""
 CELLS = (
     "mean / median of |error| in m of pixels that both the row and the true pose give an answer "
-    "for; what the true pose leaves of the same pixels, and the share of all that the row answers"
+    "for; what the true pose leaves of the same pixels, and the share of all that the row answers; "
+    "last the mean of the ranges' means, that of the true pose and what it is exceeded by, with "
+    "95 % bootstrap intervals over scenes"
 )
 
 
@@ -68,14 +70,14 @@ class Picture:
 def depth_report(
     stereo: str,
     title: str,
-    ranges: Ranges,
+    comparisons: Comparisons,
     counts: Mapping[str, Counts],
     pictures: Sequence[Picture],
     lacking: Mapping[str, str],
 ) -> list[str]:
     """Its sections; ``lacking`` says why other stereo matchers could not run."""
-    errors = {m: _means(found)[0] for m, found in ranges.items()}
-    charted = {m: ranges[m] for m in best_of_each(errors)}
+    errors = {m: found.mean.mae_m for m, found in comparisons.items()}
+    charted = {m: comparisons[m].ranges for m in best_of_each(errors)}
     charts = {
         "mean absolute error": _by_range(
             {m: [x.common.mae_m for x in found] for m, found in charted.items()},
@@ -91,7 +93,8 @@ def depth_report(
         f"<figure><h3>{escape(name)}</h3>{to_svg(figure, name)}</figure>"
         for name, figure in charts.items()
     )
-    which = [SOME_CHARTED.format(len(charted), len(ranges))] * (len(charted) < len(ranges))
+    num = len(comparisons)
+    which = [SOME_CHARTED.format(len(charted), num)] * (len(charted) < num)
     absent = [f"Left out: {why}" for why in lacking.values()]
     shown = (
         "Left and right image laid over each other: what is at one height in both stands on one "
@@ -101,7 +104,8 @@ def depth_report(
     return [
         section(f"Depth by {title}", f'<div class="charts">{"".join(drawn)}</div>',
                 " ".join(["Error by range of true depth.", *which, *absent])),
-        section(f"Depth by {stereo} in numbers", _table(ranges, counts), f"{CELLS}.".capitalize()),
+        section(f"Depth by {stereo} in numbers", _table(comparisons, counts),
+                f"{CELLS}.".capitalize()),
         section(f"Pairs, and their depth by {stereo}", _pictures(pictures), shown),
     ]  # fmt: skip
 
@@ -121,24 +125,18 @@ def _by_range(values: Mapping[str, Sequence[float]], unit: str, *, log: bool = F
     return figure
 
 
-def _table(ranges: Ranges, counts: Mapping[str, Counts]) -> str:
+def _table(comparisons: Comparisons, counts: Mapping[str, Counts]) -> str:
     head = ["method", *(f"{a:g}–{b:g} m" for a, b in pairwise(EDGES_M)), "mean of means"]
     rows = [[c.replace("\n", " (") + ")" * ("\n" in c) for c in row]
-            for row in depth_rows(ranges, counts)]  # fmt: skip
+            for row in depth_rows(comparisons, counts)]  # fmt: skip
     return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
 
 
-def depth_rows(ranges: Ranges, counts: Mapping[str, Counts]) -> Iterator[list[str]]:
-    """Cells of each method by range, see ``CELLS``, and the means of their mean errors."""
+def depth_rows(comparisons: Comparisons, counts: Mapping[str, Counts]) -> Iterator[list[str]]:
+    """Cells of each method, see ``CELLS``: by range, and of the mean of all."""
     most = max(c.pairs for c in counts.values())
-    for method, found in ranges.items():
-        mean, by_truth = _means(found)
-        other = f"\ntruth {by_truth:.2f}" * (mean != by_truth)
-        yield [
-            method + _mark(counts[method], most),
-            *(map(_cell, found)),
-            f"{mean:.2f}{other}" if np.isfinite(mean) else "–",
-        ]
+    for method, (ranges, mean) in comparisons.items():
+        yield [method + _mark(counts[method], most), *map(_cell, ranges), _mean_cell(mean)]
 
 
 def _cell(x: RangeComparison) -> str:
@@ -149,16 +147,20 @@ def _cell(x: RangeComparison) -> str:
     return f"{x.common.mae_m:.2f} / {x.common.median_m:.2f}\n{other}{x.own.coverage:.0%}"
 
 
-def _means(found: Sequence[RangeComparison]) -> tuple[float, float]:
-    """Means over the ranges that have pixels, its own and the true pose's on the same pixels.
+def _mean_cell(mean: MeanError) -> str:
+    if not np.isfinite(mean.mae_m):
+        return "–"
+    own = f"{mean.mae_m:.2f}{_interval(mean.interval_m, '.2f')}"
+    if mean.mae_m == mean.truth_mae_m:
+        return own
+    excess = mean.mae_m - mean.truth_mae_m
+    more = f"{excess:+.2f}{_interval(mean.excess_interval_m, '+.2f')}"
+    return f"{own}\ntruth {mean.truth_mae_m:.2f}, {more}"
 
-    Infinite where there is a range without an answer: the far ones, which go first, weigh most.
-    """
-    known = [x for x in found if x.own.pixels]
-    if not known or not all(x.common.answered for x in known):
-        return np.inf, np.inf
-    own, by_truth = zip(*((x.common.mae_m, x.by_truth.mae_m) for x in known), strict=True)
-    return float(np.mean(own)), float(np.mean(by_truth))
+
+def _interval(ends: tuple[float, float], digits: str) -> str:
+    low, high = ends
+    return "" if np.isnan(low) else f" [{low:{digits}}, {high:{digits}}]"
 
 
 def _mark(counts: Counts, of: int) -> str:
