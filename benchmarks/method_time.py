@@ -20,13 +20,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import numpy as np
 import torch
 import tyro
 from _table import markdown, write_csv
 from rich.progress import track
 
 from flowrect.evaluation.delivered import Delivery, prior, wh_of
+from flowrect.evaluation.seconds import by_stage, spread
 from flowrect.files import make_folder
 from flowrect.matchers import load_matcher
 from flowrect.memory import keep_freed_memory
@@ -35,7 +35,7 @@ from flowrect.sample import Pair
 from flowrect.solvers import NoSolution
 from simgen.errors import UserError
 
-HEADER = ("method", "median [s]", "95 % [s]", "stages, median [s]", "pairs", "failed")
+HEADER = ("method", "median / 95 % [s]", "stages", "pairs", "failed")
 POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """read once, when NumPy, SciPy and torch are imported"""
 
@@ -49,7 +49,7 @@ class Options:
     methods: tuple[str, ...] = TABLE
     """all rows of the tables, which match every pair anew; those without weights are left out"""
     size: str = "1024x512"
-    pairs: int = 12
+    pairs: int = 20
     """that are timed, after one that is not"""
     threads: int = 0
     """of torch, OpenCV, NumPy and SciPy; 0: as they choose"""
@@ -97,14 +97,10 @@ def once(method: Method, pair: Pair) -> Timing:
 
 
 def row(name: str, timings: Sequence[Timing]) -> list[object]:
-    """Median and 95th percentile of the whole, medians of the stages [s]; "–" without any."""
-    solved = [t.stages for t in timings if not t.failed]
-    names = dict.fromkeys(stage for stages in solved for stage in stages)
-    parts = [f"{n} {np.median([stages.get(n, 0.0) for stages in solved]):.2f}" for n in names]
-    whole = [t.seconds for t in timings]
-    figures = [float(np.percentile(whole, q)) for q in (50, 95)] if whole else ["–", "–"]
-    failed = sum(t.failed for t in timings)
-    return [name, *figures, ", ".join(parts) or "–", len(timings), failed]
+    """Median and 95th percentile of the whole, and of the stages of pairs that it solved."""
+    stages = by_stage([t.stages for t in timings if not t.failed])
+    return [name, spread([t.seconds for t in timings]), stages, len(timings),
+            sum(t.failed for t in timings)]  # fmt: skip
 
 
 def main(options: Options) -> None:

@@ -124,16 +124,16 @@ def test_times_count_failures_and_their_seconds():
         method_time.Timing(2.0, {"matching": 1.6, "solving": 0.4}, failed=False),
         method_time.Timing(9.0, {}, failed=True),
     ]
-    name, median, most, stages, num, failed = method_time.row("x", timings)
-    assert (name, median, num, failed) == ("x", 2.0, 3, 1)
-    assert most == pytest.approx(np.percentile([1, 2, 9], 95))
-    assert stages == "matching 1.20, solving 0.30"
+    name, whole, stages, num, failed = method_time.row("x", timings)
+    assert (name, num, failed) == ("x", 3, 1)
+    assert whole == f"2.000 / {np.percentile([1, 2, 9], 95):.3f}"
+    assert stages == "matching 1.200 / 1.560, solving 0.300 / 0.390"
 
 
 def test_a_method_that_always_fails_has_times_and_no_stages():
     timings = 2 * [method_time.Timing(3.0, {}, failed=True)]
-    assert method_time.row("x", timings) == ["x", 3.0, 3.0, "–", 2, 2]
-    assert method_time.row("x", []) == ["x", "–", "–", "–", 0, 0]
+    assert method_time.row("x", timings) == ["x", "3.000 / 3.000", "–", 2, 2]
+    assert method_time.row("x", []) == ["x", "–", "–", 0, 0]
 
 
 def test_a_failure_is_timed(tmp_path):

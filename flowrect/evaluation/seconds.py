@@ -7,13 +7,13 @@ clocks ran on the machine of the run, beside its other jobs and whatever else wa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from flowrect.evaluation.scores import TRUTH, UNRECTIFIED, Score
 
-HEAD = ("method", "median [s]", "95 % [s]", "stages, median [s]", "pairs", "not timed", "where")
+HEAD = ("method", "median / 95 % [s]", "stages", "pairs", "not timed", "where")
 NOTE = (
     "Of the predictions themselves, failures included, for all t together; matches that several "
     "methods share count for each. Batch 1, on the machine of the run, beside its other jobs and "
@@ -22,7 +22,7 @@ NOTE = (
 
 
 def rows(scores: Iterable[Score]) -> list[list[str]]:
-    """Median and 95th percentile of each method, and medians of its stages."""
+    """Median and 95th percentile of each method, and of its stages."""
     by_method: dict[str, list[Score]] = {}
     for score in scores:
         if score.method not in (UNRECTIFIED, TRUTH):
@@ -33,9 +33,20 @@ def rows(scores: Iterable[Score]) -> list[list[str]]:
 def _row(method: str, scores: Sequence[Score]) -> list[str]:
     timed = [s.seconds for s in scores if s.seconds]
     whole = [sum(stages.values()) for stages in timed]
-    figures = [f"{np.percentile(whole, q):.3f}" for q in (50, 95)] if whole else ["–", "–"]
-    names = dict.fromkeys(name for stages in timed for name in stages)
-    parts = (f"{n} {np.median([stages.get(n, 0.0) for stages in timed]):.3f}" for n in names)
     where = "; ".join(dict.fromkeys(s.made_on for s in scores if s.made_on))
-    return [method, *figures, ", ".join(parts) or "–", str(len(timed)),
+    return [method, spread(whole), by_stage(timed), str(len(timed)),
             str(len(scores) - len(timed)), where]  # fmt: skip
+
+
+def by_stage(timed: Sequence[Mapping[str, float]]) -> str:
+    """Seconds of each stage, from those of several pairs; 0 where a pair had no such stage."""
+    names = dict.fromkeys(name for stages in timed for name in stages)
+    return ", ".join(f"{n} {spread([t.get(n, 0.0) for t in timed])}" for n in names) or "–"
+
+
+def spread(seconds: Sequence[float]) -> str:
+    """Median / 95th percentile."""
+    if not seconds:
+        return "–"
+    median, high = np.percentile(seconds, [50, 95])
+    return f"{median:.3f} / {high:.3f}"
