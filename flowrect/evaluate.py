@@ -156,8 +156,9 @@ def _require_sensible(options: EvaluateOptions) -> None:
     ):
         if not value >= least:
             raise UserError(f"{name} {value:g}: expected at least {least}.")
-    if not options.translations:
-        raise UserError("--translations: expected gt, nominal or both.")
+    asked = options.translations
+    if not asked or len(set(asked)) < len(asked):
+        raise UserError(f"--translations {' '.join(asked)}: expected gt, nominal or both.")
     _require_known(options.methods)
 
 

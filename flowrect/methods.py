@@ -28,6 +28,7 @@ from flowrect.matches import Matches
 from flowrect.rivals.config import RIVALS, SharedConfig
 from flowrect.sample import Image
 from flowrect.solvers import COARSE, SOLVERS, NoSolution, Solver
+from flowrect.solvers.fit import require_nearness
 from flowrect.weights import SHIPPED
 from simgen.errors import UserError
 from simgen.geometry import Array, transform
@@ -153,7 +154,7 @@ class FromMatches:
         try:
             start, stands = self._start(left, right, K_left, K_right, prior)
             seconds.update(start.seconds)
-            return self._solved(matches, K_left, K_right, start, prior[:3, 3], seconds, stands)
+            return self._solved(matches, K_left, K_right, start, prior, seconds, stands)
         except NoSolution as error:
             spent = {**seconds, **error.seconds}
             raise NoSolution(str(error), num_matches=len(matches), seconds=spent) from error
@@ -175,14 +176,16 @@ class FromMatches:
             return replace(unrectified(*given), seconds=error.seconds, notes=(note,)), False
 
     def _solved(
-        self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, t_prior: Array,
+        self, matches: Matches, K_left: Array, K_right: Array, start: PoseEstimate, prior: Array,
         seconds: Seconds, stands: bool,
     ) -> PoseEstimate:  # fmt: skip
         """Where matches do not suffice, the start may stand, and that is noted."""
-        prior = transform(start.R, t_prior)  # a t that a network predicts is no calibration
+        begin = transform(start.R, prior[:3, 3])  # a t that a network predicts is no calibration
         try:
             with seconds.of("solving"):
-                solution = self.solver(*matches.as_seen(K_left, K_right), prior)
+                solution = self.solver(*matches.as_seen(K_left, K_right), begin)
+            if self.start is not unrectified:  # else the solver has looked, if it is one that does
+                require_nearness(solution, prior)
         except NoSolution as error:
             if not stands:
                 raise

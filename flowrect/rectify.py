@@ -349,8 +349,9 @@ def _with_weights(options: RectifyOptions) -> str:
         return f"network={options.weights}{plus}{solver}"
     if options.weights != "small":
         raise UserError(
-            f"--weights {options.weights}: the method {options.method} has no network. Leave "
-            "--weights out, or ask for --method network or network+5dof."
+            f"--weights {options.weights}: goes with --method network, network+3dof and "
+            f"network+5dof, not with {options.method}. Leave it out, or ask for one of these; they "
+            "take weights of any network of flowrect.train."
         )
     return options.method
 

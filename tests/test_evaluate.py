@@ -36,8 +36,8 @@ from flowrect.evaluation.delivered import Delivered, Delivery, prior
 from flowrect.evaluation.offsets import FLOW, FLOW_VALID, Memory, Offsets, VerticalFlow
 from flowrect.evaluation.predict import FAULT, TOO_LONG, Run, _matches, predict
 from flowrect.evaluation.predictions import Origin
-from flowrect.evaluation.scores import Score, _Truth, _useless, scored
-from flowrect.evaluation.tables import document, main_table
+from flowrect.evaluation.scores import Score, _figures, _Truth, _useless, scored
+from flowrect.evaluation.tables import document, main_rows, main_table
 from flowrect.formats import opencv
 from flowrect.matchers import MATCHERS
 from flowrect.matches import Matches
@@ -213,7 +213,7 @@ def test_a_pair_whose_offsets_cannot_be_measured_is_without(tmp_path):
         raise OSError("the disk is full")
 
     looks, black = Offsets("sift", raises, Memory(tmp_path / "a.jsonl")), np.zeros((4, 4, 3), "u1")
-    with pytest.warns(UserWarning, match="sift offsets: ZeroDivisionError: black images"):
+    with pytest.warns(UserWarning, match="a of rectified images: ZeroDivisionError: black images"):
         found = looks.figures(black, black, black[..., 0] > 0, vertical=False)
     assert np.isnan([*found.values()]).all()
     assert list(found) == ["sift_offset_px", "sift_offset_median_px"]
@@ -222,6 +222,16 @@ def test_a_pair_whose_offsets_cannot_be_measured_is_without(tmp_path):
     assert mended.figures(black, black, black[..., 0] > 0, vertical=False) == {
         "sift_offset_px": 3.0, "sift_offset_median_px": 3.0,
     }  # fmt: skip
+
+    def lacks_memory(left: torch.Tensor, right: torch.Tensor):
+        raise RuntimeError("can't allocate memory")
+
+    by_network = VerticalFlow(lacks_memory, "of weights", Memory(tmp_path / "flow.jsonl"))
+    with pytest.warns(UserWarning, match="flow of rectified images: RuntimeError: can't allocate"):
+        found = by_network.figures(black, black, black[..., 0] > 0, vertical=False)
+    assert list(found) == [FLOW, FLOW_VALID]
+    assert np.isnan([*found.values()]).all()
+    assert not (tmp_path / "flow.jsonl").exists()
     with pytest.raises(OSError, match="disk"):
         replace(looks, match=full_disk).figures(black[1:], black, black[..., 0] > 0, vertical=False)
 
@@ -454,6 +464,16 @@ def test_offsets_name_their_pairs_and_count_those_without_a_match(scores):
     assert re.search(r"\| sift\+5dof \| – \| [\d.]+ / [\d.]+ \(1 without\) \|", text)
 
 
+@pytest.mark.parametrize("figure", ["mae_valid", "disparity_bias_px"])
+def test_pairs_without_a_figure_that_others_have_are_counted(figure, scores):
+    some = [replace(s, figures=s.figures | {figure: np.nan if s.index == 1 else 1.5})
+            for s in scores]  # fmt: skip
+    head, rows = main_rows(some, "nominal", {}, {})
+    column = [row[head.index({"mae_valid": "MAE, valid"}.get(figure, "|disparity bias| [px]"))]
+              for row in rows]  # fmt: skip
+    assert set(column) == {"1.500 (1 without)"}
+
+
 # --- files
 
 
@@ -557,7 +577,20 @@ def test_of_a_diagonal_rig_the_true_pose_tells_what_is_upright(data):
     tipped = replace(truth.nominal, vertical=~truth.nominal.vertical)
     T = prepared.input.T_right_left
     pose = PoseEstimate(T[:3, :3], T[:3, 3])
-    assert _useless(replace(truth, nominal=tipped), pose, "nominal") == ""
+    upright = _figures(truth, pose, "nominal", (), as_it_is=True)["vertical_flow_px"]
+    truth = replace(truth, nominal=tipped)
+    assert _useless(truth, pose, "nominal") == ""
+    seen = []
+
+    class Axis:
+        def figures(self, left, right, valid, *, vertical):
+            seen.append(vertical)
+            return {}
+
+    for as_it_is in (False, True):
+        found = _figures(truth, pose, "nominal", [Axis()], as_it_is=as_it_is)
+    assert seen == [False, False]
+    assert found["vertical_flow_px"] == upright  # and not the disparity
 
 
 def test_a_wild_pose_of_a_real_pair_is_a_failure_too(wall):
@@ -602,9 +635,9 @@ def test_seconds_are_of_all_predictions_and_what_was_not_timed_is_counted(scores
         for s, x in zip((s for s in scores if s.method == "sift+5dof"), taken, strict=True)
     ]
     [row] = seconds.rows([*some, *(s for s in scores if s.method == "truth")])
-    assert row[:2] == ["sift+5dof", "2.100"]  # of 1.2 and 3.0
-    assert float(row[2]) == pytest.approx(np.percentile([1.2, 3.0], 95))
-    assert row[3:] == ["matching 2.000, solving 0.100", "2", "1", "here"]
+    assert row[:2] == ["sift+5dof", "2.100 / 2.910"]  # of 1.2 and 3.0
+    assert float(row[1].split(" / ")[1]) == pytest.approx(np.percentile([1.2, 3.0], 95))
+    assert row[2:] == ["matching 2.000 / 2.900, solving 0.100 / 0.190", "2", "1", "here"]
     assert f"| {' | '.join(row)} |" in document(some, {}, {}, "", ("nominal",))
 
 
@@ -913,6 +946,8 @@ def test_a_path_of_weights_may_have_a_plus(tmp_path):
 def test_a_limit_is_spread_over_the_set(data):
     pairs = replace(delivery(data), limit=2).open()
     assert pairs.chosen == [0, len(pairs.pairs) - 1]
+    all_of_them = replace(delivery(data), limit=len(pairs.pairs)).open()
+    assert all_of_them.fingerprint == delivery(data).open().fingerprint != pairs.fingerprint
 
 
 @pytest.mark.parametrize(
@@ -923,7 +958,8 @@ def test_a_limit_is_spread_over_the_set(data):
         (["--limit", "-1"], "--limit -1: expected at least 0"),
         (["--turn-deg", "-1"], "--turn-deg -1: expected at least 0"),
         (["--time-limit-s", "nan"], "--time-limit-s nan: expected at least 1"),
-        (["--translations"], "--translations: expected gt, nominal or both"),
+        (["--translations"], "--translations : expected gt, nominal or both"),
+        (["--translations", "gt", "gt"], "--translations gt gt: expected gt, nominal or both"),
         (["--methods", "network=small+6dof"], "'6dof' is no solver, and 'small.6dof' no file"),
         (["--offsets", "sift", "sift-paper"], "settings of one matcher share a column"),
         (["--offsets", "shift"], "--offsets shift: expected some of sift, "),

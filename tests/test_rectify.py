@@ -21,7 +21,8 @@ from flowrect.estimate import Calibrator
 from flowrect.files import read_rgb
 from flowrect.formats import opencv, read_calibration
 from flowrect.matchers import sift
-from flowrect.methods import FromMatches, Network, PoseEstimate
+from flowrect.matches import Matches
+from flowrect.methods import FromMatches, Network, PoseEstimate, Seconds
 from flowrect.model import Prediction, Rectifier
 from flowrect.overlay import TILE_PX, View, choose_matches, draw_overlay
 from flowrect.quality import MIN_MATCHES, MatchedRays, sift_matches
@@ -30,7 +31,7 @@ from flowrect.sample import Image
 from flowrect.solvers import SOLVERS, NoSolution
 from flowrect.weights import Card, save_weights
 from simgen.errors import UserError
-from simgen.geometry import Array, transform
+from simgen.geometry import Array, project, transform
 
 WH = (400, 240)
 K = np.array([[210.0, 0, 203.0], [0, 212.0, 117.0], [0, 0, 1]])
@@ -214,6 +215,23 @@ def test_what_a_network_says_stands_where_there_are_no_matches_and_is_noted(tmp_
         rectify_pair(FromMatches("sift", SOLVERS["5dof"]), "alone", RIG, files)
 
 
+def test_the_bar_of_the_fit_counts_from_the_prior_and_not_from_where_a_network_ends():
+    """A network that is led astray would carry the 10° along."""
+    far = Rotation.from_rotvec([8.0, -6.0, 5.0], degrees=True).as_matrix()
+    half = Rotation.from_rotvec([4.0, -3.0, 2.5], degrees=True).as_matrix()
+    grid = np.stack(np.meshgrid([-1.0, 0, 1], [-0.5, 0, 0.5], [4.0, 7, 12, 30, 60]), -1)
+    points = (grid.reshape(-1, 3) * [[1, 1, 0]] + [[0, 0, 1]]) * grid.reshape(-1, 3)[:, 2:]
+    ends = points, points @ far.T + NOMINAL[:3, 3]
+    matches = Matches(*(project(K, x) for x in ends))
+    images = (np.full((*WH[::-1], 3), grey, np.uint8) for grey in (100, 101))
+    given = matches, Seconds(), *images, K, K, NOMINAL
+    with pytest.raises(NoSolution, match="11° away from the prior, expected at most 10°"):
+        FromMatches("sift", SOLVERS["5dof"]).of_matches(*given)
+    estimate = FromMatches("sift", SOLVERS["5dof"], start=knowing(half)).of_matches(*given)
+    np.testing.assert_allclose(estimate.R, half)
+    assert "not refined by matches: the best pose is 11° away" in estimate.notes[-1]
+
+
 def test_a_network_of_horizontal_rigs_is_not_the_last_word_on_vertical_ones(tmp_path):
     def unlike(*_: object) -> PoseEstimate:
         raise NoSolution("images hardly match")
@@ -326,6 +344,12 @@ def test_folders_are_matched_by_name_and_summed_up(folders, weights, capsys):
     rows = summary(folders)
     assert [row["name"] for row in rows] == ["a"]
     assert float(rows[0]["before_px"]) > 3
+
+
+def test_weights_of_a_method_that_takes_none_are_refused(folders, weights, capsys):
+    others = [x.replace("network", "rpnet") for x in command(folders)]
+    assert main(others) == 2
+    assert "goes with --method network, network+3dof and network+5dof" in capsys.readouterr().err
 
 
 def test_a_damaged_first_image_costs_its_pair_alone(folders, weights, capsys):

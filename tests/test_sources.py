@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,18 @@ def test_folder_has_no_true_pose_unless_it_is_trusted(tmp_path: Path) -> None:
     assert pair.T_right_left is None
     assert pair.truth is None
     np.testing.assert_allclose(pair.T_right_left_nominal, T_RIGHT_LEFT, atol=1e-12)
+
+
+def test_a_folder_is_the_same_wherever_it_stands_and_as_a_copy(tmp_path: Path, monkeypatch) -> None:
+    before = open_source(_folder(tmp_path / "here")).fingerprint
+    shutil.copytree(tmp_path / "here", tmp_path / "a" / "there", copy_function=shutil.copyfile)
+    assert open_source(tmp_path / "a" / "there").fingerprint == before
+    monkeypatch.chdir(tmp_path)
+    assert open_source(Path("here")).fingerprint == before
+    calibration = tmp_path / "here" / "calib.yaml"
+    text = calibration.read_text("utf-8")
+    calibration.write_text(text.replace("1", "2", 1), "utf-8")  # of the same size
+    assert open_source(Path("here")).fingerprint != before
 
 
 def test_folder_with_a_single_image_is_refused(tmp_path: Path) -> None:

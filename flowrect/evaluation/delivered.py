@@ -89,8 +89,8 @@ class Delivered(Sequence[Prepared]):
 
     @property
     def fingerprint(self) -> str:
-        """Changes when any pair would."""
-        how = replace(self.how, data=Path(), root=None)
+        """Changes when any pair would, but not with where they stand."""
+        how = replace(self.how, data=Path(), root=None, limit=0)
         return digest([self.pairs.fingerprint, str(how), str(self.chosen)])[:16]
 
     def _as_it_is(self, pair: Pair) -> Prepared:

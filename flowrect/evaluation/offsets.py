@@ -58,6 +58,21 @@ class Memory:
             self._append({"key": key, **self._known[key]})
         return self._known[key]
 
+    def tried(self, key: str, measure: Callable[[], dict[str, float]]) -> dict[str, float] | None:
+        """The same, but None where measuring raises: that is said, and the next run tries again.
+
+        Hours of other pairs are not lost by one. What raises is OSError alone: the disk is full, or
+        a file is gone.
+        """
+        try:
+            return self.of(key, measure)
+        except OSError:
+            raise
+        except Exception as error:
+            what = f"{self.path.stem} of rectified images: {type(error).__name__}: {error}"
+            warnings.warn(what, stacklevel=3)
+            return None
+
     def _remember(self, line: str) -> None:
         try:
             row = json.loads(line)
@@ -75,7 +90,7 @@ class Memory:
 class Offsets:
     """|dy| of all matches, |dx| of a vertical rig: mean, as the paper has it, and median.
 
-    NaN without any match, or where the matcher raises, which is said and not remembered.
+    NaN without any match, or where the matcher raises.
     """
 
     name: str
@@ -88,13 +103,8 @@ class Offsets:
     ) -> Mapping[str, float]:
         """As Look; the black of what is not filled has no matches."""
         key = digest(stamp.of_matcher(self.name).encode(), bytes([vertical]), left, right)
-        try:
-            return self.memory.of(key, lambda: self._measured(left, right, vertical))
-        except OSError:  # the disk is full, a file is gone: no fault of this pair
-            raise
-        except Exception as error:  # hours of other pairs are not lost, and the next run tries it
-            warnings.warn(f"{self.name} offsets: {type(error).__name__}: {error}", stacklevel=2)
-            return self._figures(np.empty(0))
+        known = self.memory.tried(key, lambda: self._measured(left, right, vertical))
+        return self._figures(np.empty(0)) if known is None else known
 
     def _measured(self, left: Image, right: Image, vertical: bool) -> dict[str, float]:
         matches = self.match(left, right)
@@ -114,7 +124,7 @@ Flow = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class VerticalFlow:
-    """Mean |vertical flow| by a network, |horizontal flow| of a vertical rig.
+    """Mean |vertical flow| by a network, |horizontal flow| of a vertical rig; NaN if it raises.
 
     In half precision: of 12 pairs all figures of ``benchmarks/flow_metric.py`` stay within 0.001
     px of those in single precision, for two thirds of the time.
@@ -140,7 +150,8 @@ class VerticalFlow:
     ) -> Mapping[str, float]:
         """As Look."""
         key = digest(self.stamp.encode(), bytes([vertical]), left, right, valid)
-        return self.memory.of(key, lambda: self._measured(left, right, valid, vertical))
+        known = self.memory.tried(key, lambda: self._measured(left, right, valid, vertical))
+        return dict.fromkeys((FLOW, FLOW_VALID), np.nan) if known is None else known
 
     @torch.inference_mode()
     def _measured(

@@ -245,12 +245,17 @@ def _predict_one(
         _require_pose(estimate)
         return row(estimate)
     except NoSolution as error:
-        return row(None, str(error), num_matches=error.num_matches, seconds=error.seconds)
+        return row(None, _said(error), num_matches=error.num_matches, seconds=error.seconds)
     except UserError as error:
-        return row(None, str(error))
+        return row(None, _said(error))
     except Exception as error:  # whatever else it is, it is this method's failure on this pair
         what = f"{type(error).__name__}: {error}"
         return row(None, f"{FAULT}: {what}" if _is_fault(error) else what)
+
+
+def _said(error: Exception) -> str:
+    """Its text: what has none would be no failure."""
+    return str(error) or type(error).__name__
 
 
 def _is_fault(error: Exception) -> bool:

@@ -194,7 +194,7 @@ def _figures(
     if batch.truth is not None and truth.some is not None:
         found["disparity_bias_px"] = disparity_bias(one_scale, truth.exact, truth.some).item()
         found["vertical_flow_px"] = (
-            unrectified_vertical_flow(batch.truth, *K, truth.nominal.vertical).item()
+            unrectified_vertical_flow(batch.truth, *K, truth.exact.vertical).item()
             if as_it_is
             else exact_vertical_flow(rect, batch.truth).item()
         )
@@ -204,7 +204,7 @@ def _figures(
     left, right = map(_image, seen.images.unbind(1))
     valid = seen.filled[0].all(0).numpy()
     for look in looks:
-        found |= look.figures(left, right, valid, vertical=bool(truth.nominal.vertical))
+        found |= look.figures(left, right, valid, vertical=bool(truth.exact.vertical))
     return found
 
 

@@ -105,36 +105,38 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 Cell = Callable[[Sequence[Score]], str]
 
 
-def _mean(figure: str, digits: int = 3) -> Cell:
+def _counted(figures: Sequence[str], say: Callable[[Sequence[Summary]], str]) -> Cell:
+    """What is said of figures, and how many pairs lack what others have; "–" if all do."""
+
     def cell(scores: Sequence[Score]) -> str:
-        s = summary(scores, figure)
-        return "–" if s is None else f"{s.mean:.{digits}f}"
+        known = [s for f in figures if (s := summary(scores, f)) is not None]
+        if len(known) < len(figures):
+            return "–"
+        without = sum(any(np.isnan(s.figures.get(f, 0.0)) for f in figures) for s in scores)
+        return say(known) + f" ({without} without)" * (without > 0)
 
     return cell
+
+
+def _mean(figure: str, digits: int = 3) -> Cell:
+    return _counted([figure], lambda s: f"{s[0].mean:.{digits}f}")
 
 
 def _mean_and_interval(figure: str, digits: int = 3) -> Cell:
-    def cell(scores: Sequence[Score]) -> str:
-        s = summary(scores, figure)
-        if s is None:
-            return "–"
-        if np.isnan(s.interval[0]):
-            return f"{s.mean:.{digits}f}"
-        return f"{s.mean:.{digits}f} [{s.interval[0]:.{digits}f}, {s.interval[1]:.{digits}f}]"
+    def say(known: Sequence[Summary]) -> str:
+        mean, (low, high) = known[0].mean, known[0].interval
+        interval = "" if np.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]"
+        return f"{mean:.{digits}f}{interval}"
 
-    return cell
+    return _counted([figure], say)
 
 
 def _median(figure: str, digits: int = 3) -> Cell:
-    def cell(scores: Sequence[Score]) -> str:
-        s = summary(scores, figure)
-        return "–" if s is None else f"{s.median:.{digits}f}"
-
-    return cell
+    return _counted([figure], lambda s: f"{s[0].median:.{digits}f}")
 
 
 def _mean_and_median(figure: str) -> Cell:
-    return lambda scores: f"{_mean(figure)(scores)} / {_median(figure)(scores)}"
+    return _counted([figure], lambda s: f"{s[0].mean:.3f} / {s[0].median:.3f}")
 
 
 def _failures(scores: Sequence[Score]) -> str:
@@ -146,7 +148,7 @@ def _noted(scores: Sequence[Score]) -> str:
 
 
 def columns(names: Sequence[str]) -> dict[str, Cell]:
-    """The columns of Table 2 that these figures fill, in the paper's order, then ours."""
+    """The columns that these figures fill: those of the paper's Table 2 among ours."""
     offsets = [n.removesuffix("_offset_px") for n in names if n.endswith("_offset_px")]
     of_matchers = {
         f"{m} offset [px], mean / median": _both(f"{m}_offset_px", f"{m}_offset_median_px")
@@ -171,14 +173,9 @@ def columns(names: Sequence[str]) -> dict[str, Cell]:
     }
 
 
-def _both(mean: str, median: str) -> Cell:
-    def cell(scores: Sequence[Score]) -> str:
-        without = sum(np.isnan(s.figures.get(mean, 0.0)) for s in scores)
-        return f"{_mean(mean, 2)(scores)} / {_mean(median, 2)(scores)}" + (
-            f" ({without} without)" if without else ""
-        )
-
-    return cell
+def _both(first: str, second: str) -> Cell:
+    """Means of two figures."""
+    return _counted([first, second], lambda s: f"{s[0].mean:.2f} / {s[1].mean:.2f}")
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

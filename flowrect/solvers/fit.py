@@ -100,6 +100,11 @@ def require_support(
             f"best pose, and before its cameras; expected {MIN_SUPPORT}, and {MIN_SHARE:.0%}. Do "
             "both images show the same scene, and is the prior roughly right?"
         )
+    require_nearness(solution, prior)
+
+
+def require_nearness(solution: Solution, prior: Array) -> None:
+    """NoSolution unless the pose lies near the prior T_right_left (4, 4)."""
     turn_deg = np.rad2deg(np.linalg.norm(vector_from_rotation(solution.R @ prior[:3, :3].T)))
     if turn_deg > MAX_TURN_DEG:
         raise NoSolution(

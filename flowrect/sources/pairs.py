@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar, overload
@@ -10,6 +11,8 @@ from typing import Any, Generic, TypeVar, overload
 from flowrect.sample import Pair
 from simgen.errors import UserError
 
+BEGINNING = 65_536
+"""bytes of a file that are looked at; a calibration has less"""
 Item = TypeVar("Item")
 
 
@@ -106,12 +109,22 @@ def digest(parts: Sequence[str]) -> str:
 
 
 def digest_files(paths: Sequence[Path]) -> str:
-    """sha256 of the names, sizes and times of files; UserError if any is missing."""
+    """sha256 of names below the folder that holds all, sizes and beginnings of files.
+
+    The same wherever the folder stands, and for a copy of it. UserError if any file is missing.
+    """
     missing = [path for path in paths if not path.is_file()]
     if missing:
         raise UserError(
             f"{len(missing)} of {len(paths)} files are missing, first {missing[0]}. Complete the "
             "set, or give the folder that the list's paths are relative to."
         )
-    stats = [(path, path.stat()) for path in paths]
-    return digest([f"{path} {stat.st_size} {stat.st_mtime_ns}" for path, stat in stats])
+    whole = [path.resolve() for path in paths]
+    root = os.path.commonpath([path.parent for path in whole])
+    return digest([f"{os.path.relpath(path, root)} {_content(path)}" for path in whole])
+
+
+def _content(path: Path) -> str:
+    """Tells apart what is likely to differ, without reading sets of images as a whole."""
+    with path.open("rb") as file:
+        return f"{path.stat().st_size} {hashlib.sha256(file.read(BEGINNING)).hexdigest()}"
