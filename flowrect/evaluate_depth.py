@@ -282,20 +282,22 @@ def comparisons(tallies: dict[str, Tally]) -> Comparisons:
 
 COLUMNS = ("method", "pairs", "failed_pairs", "from_m", "to_m", "pixels", "coverage", "mae_m",
            "median_m", "bias_m", "common_pixels", "common_mae_m", "common_median_m",
-           "truth_mae_m", "truth_median_m")  # fmt: skip
+           "truth_mae_m", "truth_median_m", "all_mae_m", "all_low_m", "all_high_m",
+           "all_truth_mae_m", "all_excess_low_m", "all_excess_high_m")  # fmt: skip
 
 
 def write_csv(path: Path, found: Comparisons, counts: Mapping[str, Counts]) -> None:
-    """One line for each method and range."""
+    """One line for each method and range; what is of all ranges stands in each."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for name, of_method in found.items():
-            for own, common, truth in of_method.ranges:
+        for name, (ranges, mean) in found.items():
+            of_all = (mean.mae_m, *mean.interval_m, mean.truth_mae_m, *mean.excess_interval_m)
+            for own, common, truth in ranges:
                 writer.writerow([name, *counts[name], own.from_m, own.to_m, own.pixels,
                                  own.coverage, own.mae_m, own.median_m, own.bias_m,
                                  common.pixels, common.mae_m, common.median_m,
-                                 truth.mae_m, truth.median_m])  # fmt: skip
+                                 truth.mae_m, truth.median_m, *of_all])  # fmt: skip
 
 
 HEAD = ("", *(f"{a:.0f}-{b:.0f} m" for a, b in pairwise(EDGES_M)), "mean MAE")

@@ -88,7 +88,7 @@ def test_every_method_answers_for_the_same_pixels_and_failures_are_scored_with_t
     of = ranges_of(tmp_path / "results" / "depth.sgbm.nominal.csv")
     begun = of.pop("begun")
     assert {(r["pairs"], r["failed_pairs"]) for r in begun} == {("1", "0")}
-    for figure in ("pixels", "coverage", "mae_m", "common_mae_m"):
+    for figure in ("pixels", "coverage", "mae_m", "common_mae_m", "all_mae_m", "all_truth_mae_m"):
         column = {name: [r[figure] for r in found] for name, found in of.items()}
         assert column["failing"] == column["wild"] == column["away"] == column[PRIOR]
         assert column["right"] == column[TRUTH]

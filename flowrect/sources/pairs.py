@@ -119,7 +119,7 @@ def digest_files(paths: Sequence[Path]) -> str:
             f"{len(missing)} of {len(paths)} files are missing, first {missing[0]}. Complete the "
             "set, or give the folder that the list's paths are relative to."
         )
-    whole = [path.resolve() for path in paths]
+    whole = [Path(os.path.abspath(path)) for path in paths]  # where links stand, not what they mean
     root = os.path.commonpath([path.parent for path in whole])
     return digest([f"{os.path.relpath(path, root)} {_content(path)}" for path in whole])
 
