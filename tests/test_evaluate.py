@@ -29,7 +29,6 @@ from tiny_network import TINY_PAPER, network, road_set
 from flowrect import evaluate as command
 from flowrect import flow_network
 from flowrect.calibration import Calibration
-from flowrect.config import SMALL
 from flowrect.evaluate import EvaluateOptions, evaluate, main
 from flowrect.evaluation import drawing, predictions, report, scoring, seconds, stamp
 from flowrect.evaluation.delivered import Delivered, Delivery, prior
@@ -931,7 +930,7 @@ def test_training_of_a_rival_names_the_size_that_its_images_are_squeezed_to(monk
     )
     monkeypatch.setitem(METHODS, "vitpose", lambda: Network(model))
     assert training_of("vitpose") == "256×128, 2.0 h"
-    assert training_of("network").startswith("{}×{}".format(*SMALL.input_wh))
+    assert training_of("network").startswith("384×192, 2.0 h")
     assert re.fullmatch(r"as delivered, \d\.\d h", training_of("raft+5dof"))
     assert training_of("sift-dis+5dof") == "–"
 
