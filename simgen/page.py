@@ -69,7 +69,7 @@ table { border-collapse: collapse; background: #fff; border: 1px solid #e3e6ea; 
 th, td { padding: .3rem .7rem; text-align: left; border-bottom: 1px solid #eef0f2; }
 th { font-weight: 600; color: #68707a; }
 .numbers :is(td, th):not(:first-child), .strata td { text-align: right; }
-.numbers td:not([colspan]) { white-space: nowrap; }
+.numbers td:not([colspan]) { white-space: pre; }
 .numbers td[colspan]:not(:first-child) { text-align: left; }
 .numbers, .strata td { font-variant-numeric: tabular-nums; }
 .strata { margin-bottom: 1rem; }

@@ -204,13 +204,13 @@ def test_the_mean_error_has_an_interval_over_scenes_and_so_has_what_it_exceeds_t
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     assert found.interval_m == pytest.approx((low[0], high[0]), rel=0.06)
     assert found.excess_interval_m == pytest.approx((low[1], high[1]), rel=0.06)
-    by_truth = comparisons(tallies)[TRUTH].mean
-    assert by_truth.excess_interval_m == (0, 0)
+    assert comparisons(tallies)[TRUTH].mean.excess_interval_m == (0, 0)
     counts = {m: t.counts for m, t in tallies.items()}
     cells = {row[0]: row for row in depth_rows(comparisons(tallies), counts)}["wrong"]
-    own, other = cells[-1].split("\n")
+    own, by_truth, more = cells[-1].split("\n")
     assert own == f"{found.mae_m:.2f} [{found.interval_m[0]:.2f}, {found.interval_m[1]:.2f}]"
-    assert other.startswith(f"truth {found.truth_mae_m:.2f}, +")
+    assert by_truth == f"truth {found.truth_mae_m:.2f}"
+    assert more.startswith(f"+{found.mae_m - found.truth_mae_m:.2f} [+")
 
 
 def test_pairs_that_were_not_predicted_are_in_no_figure_and_cost_the_others_none():
@@ -252,8 +252,8 @@ def test_a_row_that_leaves_out_hard_pixels_is_held_against_the_truth_of_its_own(
     near = found[TRUTH].ranges[0]
     assert near.common.mae_m == near.by_truth.mae_m == 2.25
     rows = {row[0]: row[1:] for row in depth_rows(found, {m: t.counts for m, t in tallies.items()})}
-    assert rows["easy"][0] == "1.00 / 1.00\ntruth 0.50 / 0.50, 50%"
-    assert rows["easy"][-1] == "0.50\ntruth 0.25, +0.25"
+    assert rows["easy"][0] == "1.00 / 1.00\ntruth 0.50 / 0.50\n50%"
+    assert rows["easy"][-1] == "0.50\ntruth 0.25\n+0.25"
     assert rows["near"][1] == "–\n0%"
     assert rows["near"][-1] == "–"  # not the 1 m of what it answers
     assert rows[TRUTH][0] == "2.25 / 2.25\n100%"

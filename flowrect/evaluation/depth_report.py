@@ -127,13 +127,12 @@ def _by_range(values: Mapping[str, Sequence[float]], unit: str, *, log: bool = F
 
 def _table(comparisons: Comparisons, counts: Mapping[str, Counts]) -> str:
     head = ["method", *(f"{a:g}–{b:g} m" for a, b in pairwise(EDGES_M)), "mean of means"]
-    rows = [[c.replace("\n", " (") + ")" * ("\n" in c) for c in row]
-            for row in depth_rows(comparisons, counts)]  # fmt: skip
+    rows = depth_rows(comparisons, counts)
     return f'<div class="scroll">{table(head, rows, numbers=True)}</div>'
 
 
 def depth_rows(comparisons: Comparisons, counts: Mapping[str, Counts]) -> Iterator[list[str]]:
-    """Cells of each method, see ``CELLS``: by range, and of the mean of all."""
+    """Cells of some lines each, see ``CELLS``: by range, and of the mean of all."""
     most = max(c.pairs for c in counts.values())
     for method, (ranges, mean) in comparisons.items():
         yield [method + _mark(counts[method], most), *map(_cell, ranges), _mean_cell(mean)]
@@ -142,7 +141,7 @@ def depth_rows(comparisons: Comparisons, counts: Mapping[str, Counts]) -> Iterat
 def _cell(x: RangeComparison) -> str:
     if not x.common.answered:
         return f"–\n{x.own.coverage:.0%}" if x.own.pixels else "–"
-    other = f"truth {x.by_truth.mae_m:.2f} / {x.by_truth.median_m:.2f}, "
+    other = f"truth {x.by_truth.mae_m:.2f} / {x.by_truth.median_m:.2f}\n"
     other *= x.by_truth != x.common
     return f"{x.common.mae_m:.2f} / {x.common.median_m:.2f}\n{other}{x.own.coverage:.0%}"
 
@@ -155,7 +154,7 @@ def _mean_cell(mean: MeanError) -> str:
         return own
     excess = mean.mae_m - mean.truth_mae_m
     more = f"{excess:+.2f}{_interval(mean.excess_interval_m, '+.2f')}"
-    return f"{own}\ntruth {mean.truth_mae_m:.2f}, {more}"
+    return f"{own}\ntruth {mean.truth_mae_m:.2f}\n{more}"
 
 
 def _interval(ends: tuple[float, float], digits: str) -> str:
