@@ -13,11 +13,16 @@ import torch
 
 from flowrect.methods import Method, PoseEstimate, unrectified
 from flowrect.sample import Image
+from flowrect.solvers import NoSolution
 from simgen.geometry import Array
 
 
 def _raises() -> PoseEstimate:
     raise ZeroDivisionError("no baseline")
+
+
+def _says_nothing() -> PoseEstimate:
+    raise NoSolution("")
 
 
 def _no_pose() -> PoseEstimate:
@@ -44,6 +49,7 @@ def _sleeps() -> PoseEstimate:
 
 _DEEDS: dict[str, Callable[[], PoseEstimate]] = {
     "raises": _raises,
+    "says-nothing": _says_nothing,
     "no-pose": _no_pose,
     "mirrored": _mirrored,
     "too-large": _too_large,
@@ -54,6 +60,7 @@ _DEEDS: dict[str, Callable[[], PoseEstimate]] = {
 }
 SAID = {
     "raises": "^ZeroDivisionError: no baseline",
+    "says-nothing": "^NoSolution$",
     "no-pose": "^its answer is no pose",
     "mirrored": "^its answer is no pose",
     "too-large": "^fault of the machine: RuntimeError: .*allocate memory",

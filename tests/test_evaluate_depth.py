@@ -321,6 +321,8 @@ def test_depth_without_predictions_or_matcher_is_refused(given, tmp_path, capsys
     assert "Run python -m flowrect.evaluate with the same" in capsys.readouterr().err
     assert main([*given, "--stereo", "psm"]) == 2
     assert "stereo matcher 'psm': expected one of sgbm" in capsys.readouterr().err
+    assert main([*given, "--stereo"]) == 2
+    assert "--stereo: expected some of sgbm" in capsys.readouterr().err
     for option, value, said in (("--pairs", "0", "expected at least 1"),
                                 ("--limit", "-1", "expected at least 0"),
                                 ("--nearest-m", "0", "expected more than 0")):  # fmt: skip
